@@ -139,6 +139,14 @@ class Effect(_Declared):
         names = [p.name for p in made.parameters]
         return made if made.values else made._replace(values=namedtuple(made.name, names))
 
+    def __str__(self) -> str:
+        """Return its name, its place, and a line per parameter: unit and bounds, in SI."""
+        wide = max((len(p.name) for p in self.parameters), default=0)
+        lines = [
+            f"  {p.name:{wide}}  {p.low:g} to {p.high:g} {p.unit}".rstrip() for p in self.parameters
+        ]
+        return "\n".join([f"{self.name} @ {self.location}", *lines])
+
     @property
     def amplitudes(self) -> tuple[str, ...]:
         """Names of the parameters that are zero when the effect is absent."""

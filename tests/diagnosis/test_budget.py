@@ -19,6 +19,7 @@ from dmptm_ctrl.diagnosis.budget import (
 )
 from dmptm_ctrl.diagnosis.negligible import material_together
 from dmptm_ctrl.diagnosis.select import Entry, Selection
+from dmptm_ctrl.diagnosis.summary import parameter_lines
 
 SPEED, TORQUE = (0.2, 0.1), (3.0, 1.0)  # deg/s and N·m: not explained, floor
 
@@ -133,11 +134,16 @@ def test_entries_are_plain():
 def test_lines_of_text():
     rows = closed([row("drive_offset", 1.0, None)], Errors(10.0, 1.0, 1.0))
     lines = table_lines(rows, ("deg/s", "N·m"))
-    assert len(lines) == len(rows)
-    assert "drive offset @ ring gear" in lines[0]
-    assert "90.0 %" in lines[0]
-    assert "–" in lines[0]  # it does not act on the torque
-    assert "deg/s" not in table_lines(rows, ("", "N·m"))[0]
+    assert len(lines) == 1 + len(rows)
+    assert " ".join(lines[0].split()) == "effect @ place speed torque share depends on"
+    ends = [lines[0].index(word) + len(word) for word in ("speed", "torque", "share")]
+    assert [lines[1][end - 1] for end in ends] == ["s", " ", "%"]
+    assert "drive offset @ ring gear" in lines[1]
+    assert "90.0 %" in lines[1]
+    assert "–" in lines[1]  # it does not act on the torque
+    bare = table_lines(rows, ("", "N·m"))
+    assert "speed" not in bare[0]
+    assert "deg/s" not in bare[1]
     assert MATERIAL < EXPLAINED < 1.0 < NONE
 
 
@@ -190,3 +196,11 @@ def test_what_stands_for_each_other_is_not_immaterial(pair, single, found):
     entries = [Entry(k, 100.0, 100.0, (), Stub().without(final, k)) for k in final.keys]
     selection = Selection(Kept(()), final, entries)
     assert material_together(Stub(), selection, share) == found
+
+
+def test_a_large_error_of_a_parameter_is_a_plain_percentage():
+    free = {"unit": "N", "range": None, "outside": False}
+    declared = {"a": {"fitted": 0.05, "se": 0.15, **free}, "b": {"fitted": 2.0, "se": 0.05, **free}}
+    _, large, small = parameter_lines(declared)
+    assert "(300 %)" in large
+    assert "(2.5 %)" in small

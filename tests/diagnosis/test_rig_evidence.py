@@ -10,6 +10,7 @@ from tests.export.test_plant import RIG
 from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.diagnosis.candidate import LEVEL
+from dmptm_ctrl.diagnosis.html import error_rows
 from dmptm_ctrl.diagnosis.rig_diagnose import _no_gap, diagnose_rig, predictions, split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.diagnosis.rig_objections import _harmonic, objection
@@ -359,6 +360,10 @@ def test_two_effects_and_their_budget():
     offset = next(e for e in found.effects if e.name == "drive_offset")
     assert offset.parameters["offset"]["value"] == pytest.approx(0.6, rel=0.05)  # V
     assert "coulomb friction" in found.sentence()
+    # whose speed an error is, where a drive has several
+    speed = found.error["after"]["speed"]
+    assert f"{speed['unit']} of {speed['sensor']} (fit" in found.summary()
+    assert error_rows(found.error)[0]["name"].startswith(f"free run of {speed['sensor']}, below")
 
 
 def test_nothing_is_named_where_nothing_is_missing():

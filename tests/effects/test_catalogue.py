@@ -71,3 +71,9 @@ def test_register_refuses_a_taken_name_and_an_unknown_site():
     with pytest.raises(ValueError, match="no site 'axle'; sites are drive, delay"):
         register(UNBALANCE._replace(name="other", site="axle"))
     assert before == CATALOGUE
+
+
+def test_an_effect_prints_its_parameters_with_their_units():
+    assert str(UNBALANCE).splitlines() == [
+        "unbalance @ ring gear", "  cosine  -60 to 60 N·m", "  sine    -60 to 60 N·m",
+    ]  # fmt: skip

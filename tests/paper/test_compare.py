@@ -83,6 +83,15 @@ def test_own_model_file_and_rig_of_two_motors(tmp_path):
     assert f"{data.PAPER_RIG.stem}, linearised" in linear_models(data.PAPER_RIG)
 
 
+@pytest.mark.parametrize(
+    ("output", "unit"), [("q", "rad"), ("w", "rad/s"), ("q_arm", "rad"), ("v_arm", "rad/s")]
+)
+def test_each_position_and_speed_has_its_unit(tmp_path, output, unit):
+    (tmp_path / "rig.toml").write_text(ARM)
+    models = linear_models(tmp_path / "rig.toml", output=output)
+    assert f"arm: {output} over torque [{unit} per N·m]" in models
+
+
 def test_model_of_a_diagnosis(tmp_path):
     """A model.toml of a drive of another shape: fitted values, not those of its rig file."""
     rig = parse_rig(ARM)

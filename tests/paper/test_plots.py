@@ -32,6 +32,13 @@ def test_bode_draws_the_response():
     assert "Hz" in plot.axes[1, 0].get_xlabel()
 
 
+def test_a_wide_legend_stands_below_the_bode_plot():
+    for label, panel in (("plant", 0), ("my drive: motor_encoder over current", 1)):
+        plot = bode_compare({label: PLANT}, omega_limits=(1.0, 100.0))
+        shown = [axes.get_legend() is not None for axes in plot.axes[:, 0]]
+        assert shown == [panel == 0, panel == 1]
+
+
 def test_bode_takes_radians_and_plain_gain():
     plot = bode_compare({"plant": PLANT}, omega_limits=(1.0, 100.0), Hz=False, dB=False)
     line = plot.axes[0, 0].lines[0]

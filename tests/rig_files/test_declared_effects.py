@@ -1,7 +1,9 @@
 """Effects that a rig file declares: what they are, and where they may stand."""
 
+import numpy as np
 import pytest
 
+from dmptm_ctrl import Loop, close_loop
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.drive.rigfile import RigError, parse_rig
 from dmptm_ctrl.simulate.rig_model import RigModel
@@ -59,6 +61,7 @@ def test_an_effect_stands_where_it_can(lines, on):
         ('[effect.cable_spring]\non = "u"', 17, "stands on a body: motor, load; not on 'u'"),
         ('[effect.sensor_delay]\non = "load"', 17, "stands on a sensor: q; not on 'load'"),
         ('[effect.sensor_delay]\non = ["q"]', 17, "no ['q'] in the rig"),
+        ("[effect.cogging]\norder = 7", 16, "does nothing; give cosine [N·m], sine [N·m]"),
     ],
 )
 def test_an_effect_that_cannot_stand_there_is_refused(lines, line, words):
@@ -77,7 +80,7 @@ def test_an_effect_of_one_of_two_inputs_says_which():
 def test_teeth_of_a_rigid_mesh_have_no_errors():
     with pytest.raises(RigError, match="gear, which is rigid; give it a stiffness"):
         effects_of('[effect.pinion_runout]\non = "gear"', "rigid")
-    assert len(effects_of("[effect.pinion_runout]")) == 1
+    assert len(effects_of("[effect.pinion_runout]\ncosine = 1e-4")) == 1
 
 
 @pytest.mark.parametrize("lines", ["[effect.cable_sprung]", '[effect.drive_delay]\non = "load"'])
@@ -91,3 +94,15 @@ def test_the_commands_refuse_it_in_one_line(tmp_path, capsys, lines):
         assert said.err.count("\n") == 1
         assert "rig.toml, line 1" in said.err
     assert [p.name for p in tmp_path.iterdir()] == ["rig.toml"]
+
+
+def test_an_effect_is_added_to_a_model_by_name():
+    bare = RigModel(parse_rig('name = "bench"\n' + RIG.format(stiffness="40 N m/rad")))
+    model = bare.with_effect("cogging", on="motor", cosine=0.01, order=7.0)
+    text = '[effect.cogging]\non = "motor"\ncosine = 0.01\norder = 7'
+    assert model.effects == effects_of(text)
+    assert str(model) == "bench: declared, cogging@motor"
+    with pytest.raises(ValueError, match="no speed sensor; tune_controller makes a loop"):
+        close_loop(model, Loop(1.0, 1.0, limit=1.0), 1e-3 * np.arange(10), np.zeros(10))
+    with pytest.raises(RigError, match="no effect 'coging'; did you mean 'cogging'?"):
+        bare.with_effect("coging", cosine=0.01)

@@ -61,6 +61,7 @@ def test_margins_of_the_rigs_gains():
         (lambda: tune_pi(PLANT, 300.0), "quarter of the sample rate"),
         (lambda: assess_pi(PLANT, 200.0, 100.0), "unstable at"),
         (lambda: common_mode(PLANT, "omega_9"), "no output 'omega_9'"),
+        (lambda: common_mode(ct.rss(2, 1, 1)), "has y.0.; tune_controller takes a rig"),
         (lambda: common_mode(ct.rss(2, 1, 3)), "two motors make 2"),
     ],
 )

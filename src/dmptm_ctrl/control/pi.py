@@ -51,7 +51,9 @@ def common_mode(plant: ct.StateSpace, output: str = "omega_L") -> ct.StateSpace:
     if plant.ninputs not in (1, 2):
         raise ValueError(f"the plant has {plant.ninputs} inputs, two motors make 2")
     if output not in plant.output_labels:
-        raise ValueError(f"no output {output!r}; the plant has {', '.join(plant.output_labels)}")
+        hint = "; tune_controller takes a rig of any shape" * (output == "omega_L")
+        has = ", ".join(plant.output_labels)
+        raise ValueError(f"no output {output!r}; the plant has {has}{hint}")
     row = plant.output_labels.index(output)
     return without_rigid_angle(
         ct.ss(

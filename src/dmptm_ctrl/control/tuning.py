@@ -43,7 +43,7 @@ class PiTuning:
             f"kp {self.kp:.4g} V/(rad/s), ki {self.ki:.4g} V/rad\n"
             f"crossover {self.crossover_hz:.3g} Hz, bandwidth {self.bandwidth_hz:.3g} Hz, "
             f"phase margin {self.phase_margin_deg:.1f} deg, gain margin {self.gain_margin_db:.1f} "
-            f"dB, peak {self.peak:.3g}"
+            f"dB,\nlargest closed-loop gain {self.peak:.3g}"
         )
 
 
@@ -92,7 +92,8 @@ def tune_pi(
     (17.6, 901)
     >>> print(pi)
     kp 17.63 V/(rad/s), ki 901.1 V/rad
-    crossover 14.5 Hz, bandwidth 20.2 Hz, phase margin 60.9 deg, gain margin 9.5 dB, peak 1.29
+    crossover 14.5 Hz, bandwidth 20.2 Hz, phase margin 60.9 deg, gain margin 9.5 dB,
+    largest closed-loop gain 1.29
     """
     if not 20.0 <= phase_margin_deg <= 90.0:
         raise ValueError(f"phase margin {phase_margin_deg:g}°, it must be between 20 and 90")

@@ -102,16 +102,17 @@ class Tuned:
             "",
             f"kp {g.kp:.4g} {volt}/({rad}/s), ki {g.ki:.4g} {volt}/{rad}{preload}, "
             f"{g.friction:.0%} of the friction fed forward, built up over {1e6 * g.distance:.0f} "
-            f"µ{rad}, lead {1e3 * g.lead:.2f} ms",
+            f"µ{rad}, look-ahead {1e3 * g.lead:.2f} ms",
             *(f"notch at {n.hz:.1f} Hz, depth {n.depth:g}, width {n.width:g}" for n in g.notches),
             f"linear start: bandwidth {self.linear.bandwidth_hz:.1f} Hz, "
-            f"{self.linear.phase_margin_deg:.0f}°, {self.linear.gain_margin_db:.1f} dB",
+            f"phase margin {self.linear.phase_margin_deg:.0f} deg, "
+            f"gain margin {self.linear.gain_margin_db:.1f} dB",
         ]
         median, sure = np.quantile(self.gains, [0.5, 1.0 - QUANTILE])
         least, most = OPTIMISM[isinstance(self.controller.model, RigModel)]
         lines.append(
             f"the compensation takes off {median:.0%} of the error; on nine of ten plants at "
-            f"least {sure:.0%}; on drives it was tried on, {least} to {most} points less"
+            f"least {sure:.0%}; drives it was tried on gained {least} to {most} points less"
         )
         lines += [
             f"  by {name}: {median:.0%}, at least {sure:.0%}"
@@ -119,8 +120,8 @@ class Tuned:
         ]
         if self.reference is not None:
             lines.append(
-                f"weighted peak of its loop {self.reference.reached:.2f}, of the best linear "
-                f"one (mixsyn) {self.reference.optimal:.2f}"
+                f"largest weighted gain of its linear loop {self.reference.reached:.2f}, of the "
+                f"best linear controller (mixsyn) {self.reference.optimal:.2f}"
             )
         return "\n".join(lines)
 

@@ -163,15 +163,20 @@ def table_lines(rows: Sequence[Row], units: tuple[str, str]) -> list[str]:
 
     Units are those of (speed, torque), empty where the drive has no such column.
     """
-    wide = max(len(f"{r.name} @ {r.location}".rstrip(" @")) for r in rows)
+    wide = max(14, *(len(f"{r.name} @ {r.location}".rstrip(" @")) for r in rows))
     speed, torque = units
-    lines = []
+    said = [f"  {'effect @ place':{wide}}"]
+    said += [
+        f"{name:>{10 + len(unit)}}" for name, unit in (("speed", speed), ("torque", torque)) if unit
+    ]
+    lines = ["  ".join([*said, f"{'share':>7}", "depends on"])]
     for r in rows:
         name = f"{r.name} @ {r.location}".rstrip(" @").replace("_", " ")
         parts = [f"  {name:{wide}}"]
         for value, unit in ((r.speed_rms, speed), (r.torque_rms, torque)):
             if unit:
-                parts.append(f"{'–':>9}" if value is None else f"{value:9.3g} {unit}")
+                shown = f"{'–':>9}" if value is None else f"{value:9.3g} {unit}"
+                parts.append(f"{shown:{10 + len(unit)}}")
         parts.append(f"{100.0 * r.share:5.1f} %")
         if r.depends_on:
             parts.append(", ".join(r.depends_on))

@@ -152,6 +152,8 @@ def error_rows(error: Mapping[str, Any]) -> list[dict[str, Any]]:
     for kind, name in names.items():
         if kind in error["after"]:
             told = error["after"][kind]
+            if "sensor" in told:
+                name += f" of {told['sensor']}"
             if "seconds" in told:
                 name += f", {told['seconds']:g} s"
             if "bandwidth_hz" in told:

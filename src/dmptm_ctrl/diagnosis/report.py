@@ -246,7 +246,7 @@ class Diagnosis:
                 one, two = before[kind], after[kind]
                 said = "short-prediction" if kind == "horizon" else kind
                 text = f"{said} error on {self.error['on']}: {one['rmse']:.3g} → {two['rmse']:.3g} "
-                text += two["unit"]
+                text += two["unit"] + (f" of {two['sensor']}" if "sensor" in two else "")
                 if "fit_percent" in two:
                     text += f" (fit {one['fit_percent']:.1f} → {two['fit_percent']:.1f} %"
                     text += f", below {two['bandwidth_hz']:g} Hz)"

@@ -186,7 +186,9 @@ class Runs:
             "before": self.agreement(self.before), "after": self.agreement(self.after),
         }  # fmt: skip
         sides["floor"] = {"rmse": min(self.floor, *(s["rmse"] for s in sides.values()))}
-        same: dict[str, Any] = {"unit": self.unit, "bandwidth_hz": self.bandwidth}
+        same: dict[str, Any] = {
+            "unit": self.unit, "bandwidth_hz": self.bandwidth, "sensor": self.sensor.name,
+        }  # fmt: skip
         if self.lead_hz:
             same["seconds"] = round(0.5 / (pi * self.lead_hz), 3)  # of its memory
         return {k: {**v, **same} for k, v in sides.items()}

@@ -34,7 +34,8 @@ def parameter_lines(declared: Mapping[str, Mapping[str, Any]]) -> list[str]:
     wide = max(map(len, declared), default=0)
     for name, p in declared.items():
         value, se = p["fitted"], p["se"]
-        relative = f" ({100 * se / abs(value):.2g} %)" if value else ""
+        share = 100 * se / abs(value) if value else 0.0
+        relative = f" ({share:{'.2g' if share < 99.5 else '.0f'}} %)" if value else ""
         text = f"  {name:{wide}} = {value:.5g} ± {se:.2g}{relative} {p['unit']}"
         if p["range"]:
             text += "  [{:.4g}, {:.4g}]".format(*p["range"])

@@ -36,7 +36,7 @@ class Modes:
     damping_ratios: Floats  # (n,) ζ of the damped modes, nearest in frequency; 0 of the rigid one
 
     def __str__(self) -> str:
-        each = zip(self.hz, self.kinds, self.damping_ratios, strict=True)
+        each = zip(self.hz, self.kinds, self.damping_ratios + 0.0, strict=True)  # −0 is 0
         return "\n".join(f"{hz:8.4g} Hz  {kind}, damping ratio {z:.3g}" for hz, kind, z in each)
 
     @property

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
 from dmptm_ctrl.plots.page import words
@@ -35,7 +36,10 @@ def plot_tuning(tuned: Any, *, ax: Axes | None = None) -> Axes:
         xlabel=f"rms tracking error [{tuned.unit}]",
         ylabel=f"share of {errors.size} drawn plants below [%]",
     )
-    panel.legend(loc="lower right", fontsize=9)
+    panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)))
+    panel.xaxis.set_major_formatter("{x:g}")
+    panel.xaxis.set_minor_formatter(NullFormatter())
+    panel.legend(loc="best", fontsize=9)
     return panel
 
 

@@ -14,6 +14,7 @@ from dmptm_ctrl.drive.reduction import SimplificationCost
 from dmptm_ctrl.plots.style import SEQUENCE, STYLES, axes
 
 LEAST_COHERENCE = 0.1  # below, gain and phase are not drawn
+LONG = 24  # letters of a label from which a legend is too wide to stand among the curves
 
 
 def bode_compare(
@@ -73,7 +74,10 @@ def bode_compare(
     for panel in panels.ravel():
         panel.grid(alpha=0.3, which="major")
         panel.minorticks_off()
-    panels[0, 0].legend(fontsize=8, loc="lower left")
+    legend = panels[0, 0].legend(fontsize=8, loc="lower left")
+    if max(map(len, systems), default=0) > LONG:
+        legend.remove()
+        panels[1, 0].legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.25))
     return plot
 
 

@@ -89,12 +89,12 @@ def _own(
 
 
 def _unit(rig: Rig, output: str) -> str:
-    """SI unit of a sensor; of another output it is left open."""
-    for sensor in rig.sensors:
-        if sensor.name == output:
-            angle = rig.body(sensor.body).angle_unit
-            return angle if sensor.measures == "position" else f"{angle}/s"
-    return "SI"
+    """SI unit of a sensor, or of a body's position or speed; of another output it is left open."""
+    rate = {"position": "", "speed": "/s"}
+    units = {f"q_{body.name}": body.angle_unit for body in rig.bodies}
+    units |= {f"v_{body.name}": f"{body.angle_unit}/s" for body in rig.bodies}
+    units |= {s.name: rig.body(s.body).angle_unit + rate[s.measures] for s in rig.sensors}
+    return units.get(output, "SI")
 
 
 def bode(models: dict[str, ct.StateSpace], low: float, high: float) -> tuple[Figure, str]:

@@ -135,7 +135,8 @@ def _of_rig(model: RigModel, loop: compiled.Loop) -> RigController:
     """A PI loop on the first input of a rig and its first speed sensor."""
     sensor = next((s for s in model.rig.sensors if s.measures == "speed"), None)
     if sensor is None or loop.bias_l or loop.bias_r:
-        why = "it has no speed sensor" if sensor is None else "a preload needs two motors"
+        lacking = "it has no speed sensor; tune_controller makes a loop on a position"
+        why = lacking if sensor is None else "a preload needs two motors"
         raise ValueError(f"no PI loop on {model.rig.name}: {why}")
     gains = {"kp": loop.kp, "ki": loop.ki}
     source = model.layout.inputs[0]

@@ -443,7 +443,8 @@ def engine_by(s: Structure, kind: str, text: Callable[[Structure], str]) -> Engi
             written = text(s)
             effects = tuple(p.effect for p in s.places) if "EFFECTS" in written else ()
             name = f"{kind}_{key_of(written, modules, effects)}"
-            module = load(name, written, f"{kind} runs of a drive of this shape", EFFECTS=effects)
+            what = f"{'single runs' if kind == 'scalar' else 'many runs at once'} of this drive"
+            module = load(name, written, what, EFFECTS=effects)
             _ENGINES[key] = Engine(module, Names(s))
     return _ENGINES[key]
 

@@ -42,7 +42,7 @@ def _engine(s: Structure, w: Wiring, flags: int) -> ModuleType:
             text = compiled(law_text(s, w, flags), "command")
             effects = tuple(p.effect for p in s.places)
             key = key_of(text, (core, elementary, lookup, presliding, stribeck), effects)
-            what = "controllers of a drive of this shape"
+            what = "the controller of this drive"
             _ENGINES[id(s), w] = load(f"law_{key}", text, what, EFFECTS=effects)
         return _ENGINES[id(s), w]
 

@@ -6,6 +6,7 @@ with :func:`register`.
 """
 
 import difflib
+from collections.abc import Iterable
 from functools import cache
 from math import inf
 from typing import Any, NamedTuple, NoReturn
@@ -209,7 +210,7 @@ def place_of(rig: Rig, declared: DeclaredEffect) -> str:
     has = {p.name: p for p in chain.keep}
     for key, value in declared.values.items():
         if key not in has:
-            fail(key, f"{name} has no parameter {key!r}; it has {', '.join(has)}")
+            fail(key, f"{name} has no parameter {key!r}; it has {_listed(chain, has)}")
         if has[key].low == 0.0 > value.value:
             fail(key, f"{key} is {value.value:g}; it must be zero or more")
     lacking = [p.name for p in chain.effect.parameters if p.name not in declared.values]
@@ -229,7 +230,15 @@ def place_of(rig: Rig, declared: DeclaredEffect) -> str:
     softened = any(e.name == _SHAFT.name and e.on == on for e in rig.effects)
     if chain.place == "link" and on in {link.name for link in rigid} and not softened:
         fail("on", f"{name} on {on}, which is rigid; give it a stiffness")
+    if not any(p in declared.values for p in chain.amplitudes):
+        fail("", f"{name} has no size, so it does nothing; give {_listed(chain, chain.amplitudes)}")
     return on
+
+
+def _listed(chain: PlacedEffect, names: Iterable[str]) -> str:
+    """Return names of parameters with their units."""
+    units = {p.name: f" [{p.unit}]" * bool(p.unit) for p in chain.keep}
+    return ", ".join(f"{name}{units[name]}" for name in names)
 
 
 @cache

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from dmptm_ctrl.drive.parameters import Quantity, physical
-from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.drive.rig import DeclaredEffect, Rig
 from dmptm_ctrl.effects.shaft_compliance import ShaftCompliance, spring
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE, all_places, place_of
 from dmptm_ctrl.simulate.plant import GAP, GAP_LAWS, LINEAR, Flags, Floats, Place, Plant
@@ -117,6 +117,9 @@ class RigModel:
         if wrong:
             raise KeyError(f"the rig has no {wrong[0]!r}; it has {', '.join(self.quantities)}")
 
+    def __str__(self) -> str:
+        return ", ".join([f"{self.rig.name}: declared", *(e.key for e in self.effects)])
+
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """Declared quantities by key, without those that are tied to another's."""
@@ -144,8 +147,14 @@ class RigModel:
         """Return the effect of a key."""
         return next(e for e in self.effects if e.key == key)
 
-    def with_effect(self, effect: Placed) -> "RigModel":
-        """Return the model with an effect added, or replaced at its place."""
+    def with_effect(self, effect: Placed | str, on: str = "", **values: float) -> "RigModel":
+        """Return the model with an effect added, or replaced at its place.
+
+        By name it takes what `[effect.NAME]` of a rig file takes: `on`, and parameters in SI.
+        """
+        if isinstance(effect, str):
+            given = {key: Quantity(value, "", 0.0, "given") for key, value in values.items()}
+            effect = Placed(effect, place_of(self.rig, DeclaredEffect(effect, on, given)), values)
         others = tuple(e for e in self.effects if e.key != effect.key)
         return replace(self, effects=(*others, effect))
 

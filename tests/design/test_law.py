@@ -126,7 +126,7 @@ def test_lanes_are_the_scalar_loop():
 
 
 def test_refusals():
-    with pytest.raises(ValueError, match="3 sections"):
+    with pytest.raises(ValueError, match="3 notches; the loop has room for 2"):
         Law(1.0, 1.0, 1.0, sections=[(1.0, 0.0, 0.0, 0.0, 0.0)] * 3)
     law = Law(1.0, 1.0, 1.0, model=Model())
     with pytest.raises(ValueError, match="mixes"):

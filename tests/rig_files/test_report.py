@@ -64,7 +64,8 @@ def test_every_key_of_the_contract_is_there(found):
         assert error[side]["torque"]["percent"] > 0.0
     for side in ("before", "after"):
         speed = error[side]["speed"]
-        assert set(speed) == {"rmse", "unit", "fit_percent", "pearson_r", "bandwidth_hz"}
+        known = {"rmse", "unit", "fit_percent", "pearson_r", "bandwidth_hz", "sensor"}
+        assert set(speed) == known
     for part in PARTS:
         before, after, floor = (error[s][part]["rmse"] for s in ("before", "after", "floor"))
         assert floor <= after < 0.5 * before

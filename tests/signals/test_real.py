@@ -9,7 +9,7 @@ from dmptm_ctrl import load_log, load_logs
 
 REAL = Path(__file__).parents[3] / "shared" / "real"
 
-pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason="no ../shared/real")
+pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason="the measured logs are not here")
 
 BLDC = {
     "Time": "time_s",

@@ -218,6 +218,24 @@ def test_a_wrong_inertia_is_in_the_sentence():
     assert "leave their declared ranges: body.motor.inertia" in found.sentence()
 
 
+def test_a_value_does_not_leave_its_range_for_what_an_effect_does():
+    """A dead band of the amplifier takes as much torque as the friction."""
+    bench = Bench(Machine(fc=0.03, dead=0.6), **SMALL)
+    text = bench.rig().replace("viscous =", 'coulomb = "0.03 N m ± 5 %"\nviscous =')
+    rig = parse_rig(text, "rig.toml")
+    logs, held, _, _ = split(rig, balance_of(rig, logs_of(bench, rig)))
+    evidence = RigEvidence(logs, held, 1)
+    base = evidence.base(State(rough_start(RigModel(rig, ranged=True), logs)))
+    loose = evidence.inside(base, ranged=False)
+    (kept, free) = (one.fit.model.value("body.motor.coulomb") for one in (base, loose))
+    assert kept <= 0.03 * 1.05 < 1.3 * free
+    both = [evidence.candidates(one, ["drive_dead_band@drive"])[0] for one in (base, loose)]
+    assert both[0].evidence > both[1].evidence + 5.0 * LEVEL
+    found = diagnose_rig(logs_of(bench, rig), rig, jobs=1)
+    assert [e.name for e in found.effects] == ["drive_dead_band"]
+    assert not found.declared_values["body.motor.coulomb"]["outside"]
+
+
 def test_a_sensor_with_play_is_not_none():
     """A motor's encoder that slips by far more than the gear winds up: no spring fits."""
     machine = Machine(

@@ -10,6 +10,7 @@ from os import PathLike
 import numpy as np
 
 from dmptm_ctrl.diagnosis.budget import EXPLAINED, NEGLIGIBLE, Errors, Squares, near
+from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.report import Diagnosis, provenance
 from dmptm_ctrl.diagnosis.rig_ahead import Ahead
@@ -34,7 +35,7 @@ from dmptm_ctrl.diagnosis.rig_screen import (
     screen_rig,
 )
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
-from dmptm_ctrl.diagnosis.select import select_effects
+from dmptm_ctrl.diagnosis.select import Selection, beyond_need, select_effects
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rig import Rig, is_known
 from dmptm_ctrl.identify.following import touching
@@ -86,7 +87,7 @@ def diagnose_rig(
     if strange and all(link.rigid for link in declared.links):
         raise LogError(strange)
     tell("fitting the declared model")
-    model = RigModel(declared, closed=balance.closed)
+    model = RigModel(declared, closed=balance.closed, ranged=True)
     balance, evidence, base = _fitted(model, balance, right, jobs)
     _, held_logs, held_names, on = split(declared, balance)
     ahead = cache(Ahead.of(declared, right, base.logs, SAMPLES, jobs).fitted)
@@ -96,8 +97,9 @@ def diagnose_rig(
         more = rise(without, final)
         return inf if more < NEGLIGIBLE and told(without, final) else more
 
-    selection = select_effects(evidence, base, tell)
-    if (last := selection.final).logs is not base.logs:  # other rows count by now
+    selection = _selected(evidence, base, tell)
+    base, last = selection.base, selection.final
+    if last.logs is not base.logs:  # other rows count by now
         base = evidence.refit(base, last.logs, last.held)
         selection = replace(selection, base=base)
     tells = last.fit.model
@@ -144,6 +146,28 @@ def diagnose_rig(
         warnings=(*dict.fromkeys(noted), *warnings, *_no_gap(selection.final.fit.model)),
         jobs=jobs,
     )
+
+
+def _selected(evidence: RigEvidence, base: RigState, tell: Callable[[str], None]) -> Selection:
+    """Select effects beside declared values in their ranges, or free where that is plainer.
+
+    Values that leave their ranges take up what an effect does, and effects what a value does that
+    is declared wrong. Where values explain more than the best effect, or still something beside all
+    effects, both are looked at. Each value outside counts as one effect.
+    """
+    kept, loose = select_effects(evidence, base, tell), evidence.inside(base, ranged=False)
+    best = max((c.evidence for c in kept.first if c.acceptable), default=0.0)
+    still = beyond_need(evidence, kept.final, evidence.inside(kept.final, ranged=False))
+    if sum(evidence.gains(base, loose)) <= max(best, LEVEL) and still <= 0.0:
+        return kept
+    tell("declared values would leave their ranges: looking again with them free")
+    free = select_effects(evidence, loose, tell)
+    last = kept.final
+    if last.logs is not free.final.logs:
+        last = evidence.refit(last, free.final.logs, free.final.held)
+    outside = sum(d["outside"] for d in declared_of(free.final.fit).values())
+    more = len(free.final.keys) + outside - len(last.keys)
+    return free if sum(evidence.gains(last, free.final)) > LEVEL * more else kept
 
 
 def _no_gap(model: RigModel) -> Iterator[str]:

@@ -136,18 +136,11 @@ class RigEvidence:
         fit = fit_rig(state.fit.state, logs, iterations=SETTLE, like=like, jobs=self.jobs)
         return RigState(fit, held, state.keys)
 
-    def inside(self, state: RigState) -> RigState:
-        """Fit again with declared quantities inside their ranges."""
-        frees, quantities = [], state.fit.model.quantities
-        for free in state.fit.frees:
-            if free.prior is not None:
-                low, high = quantities[free.owner].range
-                free = replace(free, low=max(free.low, low), high=min(free.high, high))
-            frees.append(free)
-        start = state.fit.state.moved(frees, state.fit.state.after(frees, np.zeros(len(frees))))
-        like = state.fit.likelihood
-        fit = fit_rig(start, state.logs, frees=frees, iterations=SETTLE, like=like, jobs=self.jobs)
-        return RigState(fit, state.held, state.keys)
+    def inside(self, state: RigState, *, ranged: bool = True) -> RigState:
+        """Fit again with declared quantities inside their ranges, or free to leave them."""
+        there = replace(state.fit.state, model=replace(state.fit.model, ranged=ranged))
+        fit = replace(state.fit, state=there)
+        return self.refit(replace(state, fit=fit), state.logs, state.held)
 
     def candidates(self, state: RigState, only: Sequence[str] | None = None) -> list[Candidate]:
         """Fit every effect that balances can show beside a model.

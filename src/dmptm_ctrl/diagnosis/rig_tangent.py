@@ -115,7 +115,9 @@ class Tangent:
     def basis(self) -> Floats:
         """Orthonormal basis of what the fitted numbers change, (m, p)."""
         norm = np.linalg.norm(self.slopes, axis=0)
+        push, (low, high) = -self.slopes.T @ self.whole, self.room
         keep = norm > 1e-12 * norm.max(initial=0.0)
+        keep &= ~(((low >= 0.0) & (push < 0.0)) | ((high <= 0.0) & (push > 0.0)))
         if not keep.any():
             return self.slopes[:, :0]
         u, s, _ = np.linalg.svd(self.slopes[:, keep] / norm[keep], full_matrices=False)

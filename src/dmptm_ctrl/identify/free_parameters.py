@@ -139,7 +139,8 @@ def free_parameters(
         own = scales if kind == "input" else scales.at(model, place, seen)
         least = LEAST_SCALE * own.of(quantity.unit)
         size = max(abs(model.value(key)), least)
-        frees.append(Free("value", key, name, 0.0, inf, size, prior, least))
+        ends = (low, high) if known and model.ranged else (0.0, inf)
+        frees.append(Free("value", key, name, *ends, size, prior, least))
     for effect in model.effects:
         beside = PLACED_CATALOGUE[effect.name].place in ("body", "link")
         own = scales.at(model, effect.on, seen) if beside else scales

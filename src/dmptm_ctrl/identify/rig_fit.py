@@ -297,6 +297,8 @@ def fit_rig(
     if frees is None:
         frees = free_parameters(state.model, balance, scales)
     frees = tuple(frees)
+    if any(not f.low <= state.get(f) <= f.high for f in frees):
+        state = state.moved(frees, state.after(frees, np.zeros(len(frees))))
     left, drive = residuals(state, balance)
     count = left[0].shape[0]
     if like is None:

@@ -100,6 +100,7 @@ class RigModel:
     zeros: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     # links that count as rigid: a view for balances, in which no gap and no twist stands
     closed: frozenset[str] = frozenset()
+    ranged: bool = False  # whether a fit keeps values inside their declared ranges
 
     def __post_init__(self) -> None:
         if self.effects is None:

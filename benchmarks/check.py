@@ -27,7 +27,8 @@ from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.fit import drive_unknowns, effect_unknowns
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.records import records
-from dmptm_ctrl.identify.rig_fit import State, fit_rig
+from dmptm_ctrl.identify.rig_fit import fit_rig
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.compiled import Loop, close_loop, rest

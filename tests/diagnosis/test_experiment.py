@@ -18,7 +18,7 @@ from dmptm_ctrl.diagnosis.rig_runs import Runs
 from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
-from dmptm_ctrl.identify.rig_fit import State
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Model

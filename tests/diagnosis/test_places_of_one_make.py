@@ -10,7 +10,7 @@ from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, numbers_of
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.free_parameters import free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
-from dmptm_ctrl.identify.rig_fit import State
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel, placed_at

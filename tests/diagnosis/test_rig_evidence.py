@@ -22,7 +22,8 @@ from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.gap_search import friction_shared
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.likelihood import Likelihood
-from dmptm_ctrl.identify.rig_fit import State, fit_rig, residuals
+from dmptm_ctrl.identify.rig_fit import fit_rig, residuals
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
@@ -226,7 +227,7 @@ def test_a_value_does_not_leave_its_range_for_what_an_effect_does():
     logs, held, _, _ = split(rig, balance_of(rig, logs_of(bench, rig)))
     evidence = RigEvidence(logs, held, 1)
     base = evidence.base(State(rough_start(RigModel(rig, ranged=True), logs)))
-    loose = evidence.inside(base, ranged=False)
+    loose = evidence.free(base)
     (kept, free) = (one.fit.model.value("body.motor.coulomb") for one in (base, loose))
     assert kept <= 0.03 * 1.05 < 1.3 * free
     both = [evidence.candidates(one, ["drive_dead_band@drive"])[0] for one in (base, loose)]

@@ -9,7 +9,8 @@ from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.free_parameters import free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.measured_motion import HELD_STRETCHES
-from dmptm_ctrl.identify.rig_fit import State, fit_rig, residuals
+from dmptm_ctrl.identify.rig_fit import fit_rig, residuals
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 

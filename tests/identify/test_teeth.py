@@ -14,7 +14,8 @@ from dmptm_ctrl.identify.free_parameters import free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import balance_of, residual
 from dmptm_ctrl.identify.measured_motion import reading_variance
 from dmptm_ctrl.identify.pushing_teeth import centred, pushing
-from dmptm_ctrl.identify.rig_fit import State, fit_rig
+from dmptm_ctrl.identify.rig_fit import fit_rig
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.identify.rig_simulate import initial
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel

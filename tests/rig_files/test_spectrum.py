@@ -8,7 +8,7 @@ from scipy.signal import chirp
 from dmptm_ctrl.diagnosis.rig_runs import Runs
 from dmptm_ctrl.diagnosis.rig_spectrum import spectrum, spectrum_uri
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.identify.rig_fit import State
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import march

@@ -19,18 +19,11 @@ from dmptm_ctrl.identify.balance import role_of, split, weights
 from dmptm_ctrl.identify.fit import Unknown, drive_unknowns, effect_unknowns
 from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.free_parameters import Free, free_parameters, log_parameters, scales_of
-from dmptm_ctrl.identify.heavy_tails import bent
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
-from dmptm_ctrl.identify.likelihood import Likelihood, size_of
+from dmptm_ctrl.identify.likelihood import Likelihood, size_of, weights_of
 from dmptm_ctrl.identify.records import Record, record, started
-from dmptm_ctrl.identify.rig_fit import (
-    ROWS_PER_NEWS,
-    State,
-    fit_rig,
-    jacobian,
-    noise_taken_out,
-    residuals,
-)
+from dmptm_ctrl.identify.rig_fit import ROWS_PER_NEWS, fit_rig, jacobian, noise_taken_out, residuals
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.simulate.any_model import AnyModel
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -182,8 +175,7 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int) -> Evidence:
         for e, heavy in enumerate(balance.bursts):  # as a fit weighs them
             own = equation == e
             level = size_of(rest[own], heavy) or 1.0
-            news = (bent(rest[own], level) if heavy else 1.0) / ROWS_PER_NEWS
-            weight[own] = np.sqrt(news) / level
+            weight[own] = weights_of(rest[own], 1.0 / ROWS_PER_NEWS, level, heavy)
         return weight
 
     prior = np.array([inf if f.prior is None else f.prior[1] / f.scale for f in frees])

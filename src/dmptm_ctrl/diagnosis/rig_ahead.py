@@ -23,15 +23,8 @@ from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.likelihood import TOLERANCE
 from dmptm_ctrl.identify.measured_motion import ROWS_PER_HERTZ
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
-from dmptm_ctrl.identify.rig_fit import (
-    Beside,
-    RigFit,
-    State,
-    jacobian,
-    residuals,
-    stepped,
-    total_loss,
-)
+from dmptm_ctrl.identify.rig_fit import Beside, RigFit, jacobian, residuals, stepped, total_loss
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import RigModel, link_inertias

@@ -44,7 +44,8 @@ from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.measured_motion import FEWEST_ROWS, STRETCHES
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
 from dmptm_ctrl.identify.pushing_teeth import centred, pushing
-from dmptm_ctrl.identify.rig_fit import State, fit_rig, unseen_impacts
+from dmptm_ctrl.identify.rig_fit import fit_rig, unseen_impacts
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log, LogError
@@ -155,11 +156,12 @@ def _selected(evidence: RigEvidence, base: RigState, tell: Callable[[str], None]
     is declared wrong. Where values explain more than the best effect, or still something beside all
     effects, both are looked at. Each value outside counts as one effect.
     """
-    kept, loose = select_effects(evidence, base, tell), evidence.inside(base, ranged=False)
+    kept, loose = select_effects(evidence, base, tell), evidence.free(base)
     best = max((c.evidence for c in kept.first if c.acceptable), default=0.0)
-    still = beyond_need(evidence, kept.final, evidence.inside(kept.final, ranged=False))
-    if sum(evidence.gains(base, loose)) <= max(best, LEVEL) and still <= 0.0:
-        return kept
+    if sum(evidence.gains(base, loose)) <= max(best, LEVEL):
+        last = kept.final
+        if beyond_need(evidence, last, evidence.free(last)) <= 0.0:
+            return kept
     tell("declared values would leave their ranges: looking again with them free")
     free = select_effects(evidence, loose, tell)
     last = kept.final

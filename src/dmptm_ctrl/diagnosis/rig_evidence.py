@@ -36,15 +36,8 @@ from dmptm_ctrl.identify.free_parameters import (
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.likelihood import Likelihood
 from dmptm_ctrl.identify.measured_motion import Nuisance
-from dmptm_ctrl.identify.rig_fit import (
-    RigFit,
-    State,
-    fit_rig,
-    residuals,
-    stepped,
-    total_loss,
-    unseen_impacts,
-)
+from dmptm_ctrl.identify.rig_fit import RigFit, fit_rig, residuals, stepped, total_loss, unseen_impacts
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.identify.rig_start import from_elsewhere
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Floats
@@ -136,8 +129,15 @@ class RigEvidence:
         fit = fit_rig(state.fit.state, logs, iterations=SETTLE, like=like, jobs=self.jobs)
         return RigState(fit, held, state.keys)
 
-    def inside(self, state: RigState, *, ranged: bool = True) -> RigState:
-        """Fit again with declared quantities inside their ranges, or free to leave them."""
+    def inside(self, state: RigState) -> RigState:
+        """Fit again with declared quantities inside their ranges."""
+        return self._ranged(state, True)
+
+    def free(self, state: RigState) -> RigState:
+        """Fit again with declared quantities free to leave their ranges."""
+        return self._ranged(state, False)
+
+    def _ranged(self, state: RigState, ranged: bool) -> RigState:
         there = replace(state.fit.state, model=replace(state.fit.model, ranged=ranged))
         fit = replace(state.fit, state=there)
         return self.refit(replace(state, fit=fit), state.logs, state.held)

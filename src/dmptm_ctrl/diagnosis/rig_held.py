@@ -9,7 +9,8 @@ from dmptm_ctrl.diagnosis.rig_shapes import unit_columns
 from dmptm_ctrl.identify.free_parameters import has_phase, log_parameters
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import Nuisance
-from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig, residuals
+from dmptm_ctrl.identify.rig_fit import RigFit, fit_rig, residuals
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.simulate.rig_model import Placed
 
 

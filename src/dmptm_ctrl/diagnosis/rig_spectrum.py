@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dmptm_ctrl.identify.frequency_response import FrequencyResponse, from_log
-from dmptm_ctrl.identify.rig_fit import State
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.plots.page import data_uri
 from dmptm_ctrl.plots.quality import Spectrum, plot_spectrum
 from dmptm_ctrl.signals import Log, LogError

@@ -12,7 +12,8 @@ from dmptm_ctrl.diagnosis.candidate import JOINED, Keys, Rows
 from dmptm_ctrl.diagnosis.select import joint_gain
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import Nuisance
-from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig, prior_rows, residuals
+from dmptm_ctrl.identify.rig_fit import RigFit, fit_rig, prior_rows, residuals
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 

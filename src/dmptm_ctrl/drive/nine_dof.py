@@ -165,8 +165,8 @@ def nine_dof_ss(
     ValueError
         A name or value that does not exist or makes no sense.
 
-    Source
-    ------
+    Notes
+    -----
     Paper, Eqs. 1 to 15 (Eq. 15's F_l34r is F_l34t). Unprinted parameters are ours.
 
     Examples

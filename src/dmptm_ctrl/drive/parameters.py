@@ -200,8 +200,8 @@ def paper_drive(*, as_printed: bool = False) -> Drive:
         SI units. `gap_l`, `gap_r` are half-gaps at the pinion. `T3…` act on the pinion
         side of both reducers, `TL…` on the ring gear.
 
-    Source
-    ------
+    Notes
+    -----
     Tables 1 and 2; corrections in docs/errata.md. `c_f` is "an adjustable parameter" (section
     4.2.2) without a printed value: ours, a small fraction of c.
 

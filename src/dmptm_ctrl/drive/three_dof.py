@@ -65,8 +65,8 @@ def three_dof_ss(
     ValueError
         A name that does not exist, or a value that no drive has.
 
-    Source
-    ------
+    Notes
+    -----
     Paper, Eqs. 16 to 18 and appendix (its R4 is R_L).
 
     Examples

@@ -111,12 +111,12 @@ class Likelihood:
 
     def weights(self, left: Sequence[Floats]) -> Floats:
         """Square roots of what each row counts, in the order of `stack`."""
-        found, heavy = [], self.balance.bursts
-        rows = zip(self.news, self.scales(left), self.parts(left), heavy, strict=True)
-        for news, scale, part, tailed in rows:
-            count = bent(part, scale) if tailed else np.ones(len(part))
-            found.append(np.sqrt(news * count) / scale)
-        return np.concatenate(found)
+        rows = zip(
+            self.news, self.scales(left), self.parts(left), self.balance.bursts, strict=True
+        )
+        return np.concatenate(
+            [weights_of(part, news, scale, heavy) for news, scale, part, heavy in rows]
+        )
 
     def surprise(self, left: Sequence[Floats], model: RigModel) -> float:
         """−2 log-likelihood, each equation at its own scale, all models with the same noise."""
@@ -151,3 +151,8 @@ class Likelihood:
 def size_of(rows: Floats, heavy: bool) -> float:
     """Size of rows: their root mean square, or of heavy tails the scale."""
     return robust_scale(rows) if heavy else float(np.sqrt(np.mean(rows**2)))
+
+
+def weights_of(rows: Floats, news: float, scale: float, heavy: bool) -> Floats:
+    """Square roots of what rows of one equation count: less where they are bursts."""
+    return np.sqrt(news * (bent(rows, scale) if heavy else np.ones(len(rows)))) / scale

@@ -8,7 +8,8 @@ import numpy as np
 
 from dmptm_ctrl.identify.free_parameters import scales_of
 from dmptm_ctrl.identify.inverse_dynamics import TAIL, Balance
-from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig, total_loss
+from dmptm_ctrl.identify.rig_fit import RigFit, fit_rig, total_loss
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import RigModel, link_inertias, link_sides
 

@@ -16,8 +16,8 @@ from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.rig_fit import fit_rig
-from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.identify.rig_start import rough_start
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 

@@ -10,8 +10,8 @@ from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.compared_signals import low_pass
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
-from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.identify.rig_start import rough_start
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.observer import observer_gains
 from dmptm_ctrl.simulate.rig_model import RigModel

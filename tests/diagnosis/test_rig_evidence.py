@@ -23,8 +23,8 @@ from dmptm_ctrl.identify.gap_search import friction_shared
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.likelihood import Likelihood
 from dmptm_ctrl.identify.rig_fit import fit_rig, residuals
-from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.identify.rig_start import rough_start
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 from dmptm_ctrl.simulate.rig_run import march
@@ -347,8 +347,35 @@ def test_a_vibration_is_not_the_input_because_a_slow_one_has_harmonics_everywher
     dt = 2e-3
     time = dt * np.arange(5000)
     slow = np.sign(np.sin(2.0 * np.pi * time / 10.0))
-    assert _harmonic(0.3, slow, dt)
-    assert not any(_harmonic(f, slow, dt) for f in np.arange(1.5, 30.0, 0.37))
+    assert _harmonic(0.3, 0.0, slow, dt)
+    # by chance alone within three standard errors of a multiple: 6 %
+    assert np.mean([_harmonic(f, 1e-3, slow, dt) for f in np.arange(1.5, 30.0, 0.37)]) < 0.15
+
+
+def test_a_vibration_exactly_at_a_high_harmonic_is_the_input():
+    """The 31st of 2 Hz: teeth at which each cycle turns round. Beside it, it is a vibration."""
+    dt = 1e-3
+    wave = 0.4 * np.sin(2.0 * np.pi * 2.0 * dt * np.arange(13_500) + 0.3)
+    assert _harmonic(62.0018, 0.0026, wave, dt)
+    assert not _harmonic(62.3, 0.0026, wave, dt)
+    assert not _harmonic(62.02, 0.0026, wave, dt)
+
+
+@pytest.mark.parametrize(("level", "pushes"), [(0.0, True), (0.01, True), (0.06, False)])
+def test_friction_that_would_push_is_impossible(level, pushes):
+    """Friction of 0.05 cos θ N·m beside a constant one, over a part of a turn where it brakes."""
+    bench = Bench(Machine(), **SMALL)
+    evidence, base = prepared(bench)
+    body = base.fit.model.layout.bodies[0]
+    model = base.fit.model
+    if level:
+        model = model.with_effect(Placed("coulomb_friction", body, {"level": level}))
+    effect = Placed(
+        "position_dependent_friction", body, {"cosine": 0.05, "sine": 0.0, "order": 1.0}
+    )
+    fit = fit_rig(State(model.with_effect(effect)), evidence.logs, iterations=0)
+    object.__setattr__(fit, "covariance", fit.covariance * 1e-12)  # as if it were certain
+    assert ("push" in objection(effect.key, fit, base.fit)) == pushes
 
 
 def test_sensors_of_one_motion_are_judged_before_any_dynamics():

@@ -14,8 +14,8 @@ from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.measured_motion import rounding_noise
 from dmptm_ctrl.identify.reading_noise import noise_in_balance
 from dmptm_ctrl.identify.rig_fit import fit_rig, residuals
-from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.identify.rig_start import rough_start
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.rig_model import RigModel
 

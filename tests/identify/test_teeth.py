@@ -15,8 +15,8 @@ from dmptm_ctrl.identify.inverse_dynamics import balance_of, residual
 from dmptm_ctrl.identify.measured_motion import reading_variance
 from dmptm_ctrl.identify.pushing_teeth import centred, pushing
 from dmptm_ctrl.identify.rig_fit import fit_rig
-from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.identify.rig_simulate import initial
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 from dmptm_ctrl.simulate.rig_run import march

@@ -14,8 +14,8 @@ from dmptm_ctrl.diagnosis.rig_report import effect_parameters
 from dmptm_ctrl.diagnosis.select import best_of
 from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.identify.inverse_dynamics import balance_of, residual
-from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.identify.rig_start import rough_start
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import march
 

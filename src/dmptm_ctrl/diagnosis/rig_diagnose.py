@@ -45,8 +45,8 @@ from dmptm_ctrl.identify.measured_motion import FEWEST_ROWS, STRETCHES
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
 from dmptm_ctrl.identify.pushing_teeth import centred, pushing
 from dmptm_ctrl.identify.rig_fit import fit_rig, unseen_impacts
-from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.identify.rig_start import rough_start
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.simulate.placed_effects import BACKLASH

@@ -18,7 +18,7 @@ from dmptm_ctrl.diagnosis.candidate import (
     name_of,
     standard_error,
 )
-from dmptm_ctrl.diagnosis.impedance import loudness
+from dmptm_ctrl.diagnosis.impedance import effort, loudness
 from dmptm_ctrl.diagnosis.rig_candidates import structures, trials
 from dmptm_ctrl.diagnosis.rig_curves import columns_of, mean_square, torques_of, variables_of
 from dmptm_ctrl.diagnosis.rig_held import held_state
@@ -36,9 +36,16 @@ from dmptm_ctrl.identify.free_parameters import (
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.likelihood import Likelihood
 from dmptm_ctrl.identify.measured_motion import Nuisance
-from dmptm_ctrl.identify.rig_fit import RigFit, fit_rig, residuals, stepped, total_loss, unseen_impacts
-from dmptm_ctrl.identify.state import State
+from dmptm_ctrl.identify.rig_fit import (
+    RigFit,
+    fit_rig,
+    residuals,
+    stepped,
+    total_loss,
+    unseen_impacts,
+)
 from dmptm_ctrl.identify.rig_start import from_elsewhere
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import BACKLASH, PLACED_CATALOGUE
@@ -78,6 +85,16 @@ class RigState:
     def loudness(self) -> float:
         """Logarithm of the torque that the model makes of a motion, over a rigid one's."""
         return loudness(self.fit.model, self.logs)
+
+    @cached_property
+    def effort(self) -> float:
+        """Logarithm of the torque that all bodies take per acceleration, before the amplifiers."""
+        return effort(self.fit.model, self.logs)
+
+    @property
+    def on_inputs(self) -> set[str]:
+        """Effects on inputs, which may stand for inertia."""
+        return {e.key for e in self.fit.model.effects if e.on in self.fit.model.layout.inputs}
 
     @cached_property
     def held_state(self) -> State:
@@ -280,7 +297,10 @@ class RigEvidence:
         fall -= held.surprise(larger.held_left[0], more)
         searched = sum(_searched(key, larger.logs) for key in larger.keys)
         searched -= sum(_searched(key, larger.logs) for key in smaller.keys)
-        louder = 2.0 * float(likelihood.news.mean()) * (larger.loudness - smaller.loudness)
+        apart = larger.loudness - smaller.loudness
+        if larger.on_inputs != smaller.on_inputs:
+            apart += larger.effort - smaller.effort
+        louder = 2.0 * float(likelihood.news.mean()) * apart
         rows, held_rows = _rows(larger)
         return fitted - searched + rows * louder, fall + held_rows * louder
 

@@ -16,9 +16,9 @@ from dmptm_ctrl.diagnosis.candidate import (
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.measured_motion import NOISE_SHARE
 from dmptm_ctrl.identify.rig_fit import RigFit
+from dmptm_ctrl.simulate.along import acting_of, friction_along, law_along
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
-from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import Placed
 
 SPRING = SHAFT_COMPLIANCE.name
@@ -26,6 +26,8 @@ SHORTEST_LATE = 0.1  # sample times
 PERIODS = 3.0  # of what goes by the clock that the longest log must hold
 RESOLVED = 1.5  # lines of a log's spectrum within which frequencies are one
 FURTHEST = 10  # harmonic looked at: of a square wave, friction's, it has a hundredth of the power
+TURN = 72  # angles at which friction over a turn is looked at
+FINER = 8  # points per line of that spectrum, between which a parabola finds its top
 LINE = 0.3  # share of the input's power in one line, from which it is a wave
 DRIVEN = 0.5  # of what a spring changes must be coherent with the drive
 SEGMENTS = 8  # of a log, for a coherence
@@ -52,7 +54,7 @@ def objection(key: str, fit: RigFit, before: RigFit) -> str:
         _nothing(key, fit)
         or _beyond(key, fit)
         or _too_short(effect, fit)
-        or _takes_the_drive(effect, fit, before)
+        or _pushes(effect, fit)
         or _by_the_drive(effect, fit)
         or _unseen(effect, fit, before)
         or _collapsed(fit, before)
@@ -79,21 +81,25 @@ def _beyond(key: str, fit: RigFit) -> str:
     return ""
 
 
-def _takes_the_drive(effect: Placed, fit: RigFit, before: RigFit) -> str:
-    """What leaves less than half of the inertia to be moved is no fault of an amplifier.
-
-    Of a single wave, a delay is as much friction as inertia. Half of that without the effect, or
-    of what is declared if that is less: a drive that clips seems to move more than there is. Of
-    all bodies together: noise of the readings tells badly which of them is heavy.
-    """
-    if PLACED_CATALOGUE[effect.name].place != "input":
+def _pushes(effect: Placed, fit: RigFit) -> str:
+    """Friction that is more over a part of the turn, and would push over another."""
+    chain = PLACED_CATALOGUE[effect.name]
+    if chain.site != "friction" or not chain.effect.wave:
         return ""
-    model = before.model
-    known = model.declared(lambda key: key.endswith(".inertia"))
-    plants = (one.plant() for one in (fit.model, model, model.with_values(known)))
-    now, then, declared = (float(p.inertia @ untwisted(p) ** 2) for p in plants)
-    less = now < 0.5 * min(then, declared)
-    return "it would leave little of the inertia to be moved" if less else ""
+    layout, plant = fit.model.layout, fit.model.plant()
+    angle = 2.0 * pi * np.arange(TURN) / (TURN * effect.values["order"])
+    least, none = np.full(TURN, np.finfo(float).eps), np.zeros(TURN)
+    rubs = none
+    for k, body in enumerate(layout.bodies):
+        if layout.coordinate[body] == layout.coordinate[effect.on]:
+            lever = abs(layout.ratio[body] / layout.ratio[effect.on])
+            on = [e for e in fit.model.effects if e.on == body]
+            acting = [acting_of(e) for e in on if PLACED_CATALOGUE[e.name].site == "friction"]
+            factor, more = friction_along(acting, lever * angle, least, none, none)
+            rubs = rubs + lever * (factor * law_along(least, plant.law[k]) + more)
+    errors = [fit.errors[fit.frees[j].label] for j in amplitudes_of(fit, effect.key)]
+    pushes = rubs.min() + FIRM * max(errors, default=0.0) < 0.0
+    return "friction would push over a part of the turn" if pushes else ""
 
 
 def _too_short(effect: Placed, fit: RigFit) -> str:
@@ -113,22 +119,27 @@ def _by_the_drive(effect: Placed, fit: RigFit) -> str:
         return ""
     if f * fit.likelihood.balance.longest < PERIODS:
         return "the logs hold too few of its periods"
-    if all(_harmonic(f, u, m.dt) for m in motions for u in m.u.values()):
+    error = fit.errors.get(f"{effect.key}.frequency", 0.0)
+    if all(_harmonic(f, error, u, m.dt) for m in motions for u in m.u.values()):
         return "its frequency is a harmonic of the input"
     return ""
 
 
-def _harmonic(f: float, u: Floats, dt: float) -> bool:
-    """Whether a frequency is a multiple of that of a wave that the input is."""
-    power = np.abs(np.fft.rfft(u - u.mean())) ** 2
-    power[0] = 0.0
+def _harmonic(f: float, error: float, u: Floats, dt: float) -> bool:
+    """Whether a frequency is a multiple of that of a wave that the input is.
+
+    A low multiple to the resolution of the log, or any to the frequency's own standard error.
+    """
+    size = FINER * u.size
+    power = np.abs(np.fft.rfft((u - u.mean()) * np.hanning(u.size), size)) ** 2
     top = int(np.argmax(power))
-    if top == 0 or power[max(top - 1, 1) : top + 2].sum() < LINE * power.sum():
+    if power[max(top - 2 * FINER, 0) : top + 2 * FINER + 1].sum() < LINE * power.sum():
         return False
-    near = np.arange(max(top - 1, 1), min(top + 2, power.size))
-    wave = float(near @ power[near] / power[near].sum())  # in lines of the spectrum
-    nearest = round(f * u.size * dt / wave)
-    return 1 <= nearest <= FURTHEST and abs(f * u.size * dt - nearest * wave) <= RESOLVED
+    before, peak, after = np.log(np.maximum(power[top - 1 : top + 2], 1e-300))
+    wave = (top + 0.5 * (before - after) / (before - 2 * peak + after)) / (size * dt)
+    nearest = max(round(f / wave), 1)
+    apart = abs(f - nearest * wave)
+    return apart <= FIRM * error or (nearest <= FURTHEST and apart * u.size * dt <= RESOLVED)
 
 
 def _unseen(effect: Placed, fit: RigFit, before: RigFit) -> str:

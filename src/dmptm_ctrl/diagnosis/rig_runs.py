@@ -19,8 +19,8 @@ from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.likelihood import LEAST_SCALE
 from dmptm_ctrl.identify.measured_motion import MOTION_OVER_BALANCE, derivative, grid_of, of_part
 from dmptm_ctrl.identify.rig_fit import RigFit
-from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.identify.rig_simulate import free_run, readings
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.signals.units import parse_unit

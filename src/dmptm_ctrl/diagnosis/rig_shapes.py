@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent
-from dmptm_ctrl.identify.forces import measured_motion
+from dmptm_ctrl.identify.forces import measured_motion, wave_mean
 from dmptm_ctrl.identify.free_parameters import on_slide, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.measured_motion import Motion
+from dmptm_ctrl.identify.measured_motion import FEWEST_ROWS, Motion
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
 from dmptm_ctrl.identify.teeth import carried, in_twist, put_through
 from dmptm_ctrl.simulate.along import acting_of, friction_along, torque_along
@@ -20,6 +20,7 @@ from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 MAX_ORDER = 400  # per turn
 SCREENED = 6  # orders and places of a screening that are looked at closely
+BAND = 2.0**0.25  # of orders that are seen on the same rows
 LEAST_PERIODS = 3.0  # in the travel, or a spring or a slope would do as well
 WIDTHS = (0.003, 0.01, 0.03)  # local spots, of the travel
 SPOT_BINS = 2048
@@ -67,7 +68,8 @@ def unit_columns(
                 out = -np.sign(omega) * out * (np.abs(omega) > slow)
             else:
                 out = torque_along(acting, load, theta, omega, motion.time)
-            columns.append(motion.reduce(reach * r * out))
+            mean = wave_mean(shape, omega, motion.dt)
+            columns.append(motion.reduce(reach * r * mean * out))
         parts.append(_in_equations(fit, balance, body, np.array(columns).T))
     return parts
 
@@ -174,19 +176,22 @@ def orders(tangent: Tangent, body: str, pushed: Sequence[Floats] | None = None) 
     bins = 16384
     length = 2 * span if slide else 2 * np.pi
     counts = 2 * np.pi * np.arange(bins // 2 + 1) / length
-    power = np.zeros(counts.size)
-    slow = np.inf
-    for (angle, speed, left), motion in zip(logs, balance.motions, strict=True):
-        place = (angle - angle.min(initial=0.0)) if slide else np.mod(angle, length)
-        sums = np.bincount((place / length * bins).astype(int) % bins, left, bins)
-        fastest = 2 * np.pi * motion.bandwidth / np.maximum(counts, 1e-12)
-        seen = np.searchsorted(np.sort(np.abs(speed)), fastest) / max(speed.size, 1)
-        power += np.abs(np.fft.rfft(sums)) ** 2 / (np.maximum(seen, 0.05) * max(speed.size, 1))
-        slow = min(slow, float(np.median(np.abs(speed))) if speed.size else slow)
     lowest = LEAST_PERIODS * 2 * np.pi / span
     lowest = lowest if slide else max(lowest, 2.0)
     highest = counts[-1] / 2 if slide else MAX_ORDER
-    highest = min(highest, 4 * np.pi * balance.bandwidth / max(slow, 1e-9))
+    power = np.zeros(counts.size)
+    for (angle, speed, left), motion in zip(logs, balance.motions, strict=True):
+        place = (angle - angle.min(initial=0.0)) if slide else np.mod(angle, length)
+        bins_of = (place / length * bins).astype(int) % bins
+        low = lowest
+        while low < highest:  # band by band, each where it passes the filter of the balance
+            band = (counts >= low) & (counts < BAND * low)
+            slow = np.abs(speed) < 2 * np.pi * motion.bandwidth / low
+            low *= BAND
+            if (seen := int(slow.sum())) < FEWEST_ROWS:
+                break
+            sums = np.bincount(bins_of[slow], left[slow], bins)
+            power[band] += np.abs(np.fft.rfft(sums)[band]) ** 2 / seen
     peak = np.zeros(power.size, bool)
     peak[1:-1] = (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
     usable = np.flatnonzero(peak & (counts >= lowest) & (counts <= highest))

@@ -138,7 +138,9 @@ def select_effects(
             f"+ {', '.join(chosen.keys)}: {chosen.gain:.0f} fitted, {chosen.held_gain:.0f} held out"
         )
         state = pruned(evidence, grown, step)
-        if frozenset(state.keys) in seen or vain_exchange(evidence, grown, state, chosen.keys):
+        alone = len(chosen.keys) > 1 >= len({*chosen.keys} & {*state.keys})  # no set was needed
+        known = alone or frozenset(state.keys) in seen
+        if known or vain_exchange(evidence, grown, state, chosen.keys):
             vain.add(chosen.keys)
             state = before
         seen.add(frozenset(state.keys))

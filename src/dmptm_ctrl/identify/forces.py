@@ -37,7 +37,7 @@ from dmptm_ctrl.simulate.along import (
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
-from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 from dmptm_ctrl.simulate.rig_run import RigRun, march, substeps_for
 
 if TYPE_CHECKING:
@@ -278,11 +278,13 @@ def _friction(
             if chain.site == "friction":
                 moves = theta, omega, motion.time, load[body]
                 scale, added = friction_along([acting_of(effect)], *moves)
-                factor = factor * scale
-                more = more + np.sign(omega) * added
+                mean = wave_mean(effect, omega, motion.dt)
+                factor = factor * (1.0 + mean * (scale - 1.0))
+                more = more + mean * np.sign(omega) * added
             elif chain.site in ("motor", "load"):
                 moves = volts.get(body, none), theta, omega, motion.time
-                other -= r * torque_along([acting_of(effect)], *moves)
+                mean = wave_mean(effect, omega, motion.dt)
+                other -= r * mean * torque_along([acting_of(effect)], *moves)
         friction += factor * (level + r * more)
     for k in np.flatnonzero(plant.bristles[:, 0]).tolist():
         if plant.body_coordinate[k] == group:
@@ -293,6 +295,15 @@ def _friction(
             )
             break  # one body's bristles carry what rubs on all that are tied to it
     return friction, other
+
+
+def wave_mean(effect: Placed, omega: Floats, dt: float) -> Floats | float:
+    """Share of a wave over the angle that its mean over a sample keeps, (n,).
+
+    At the instants of samples alone, a wave that is faster than they are looks like a slow one.
+    """
+    order = effect.values.get("order", 0.0)
+    return np.sinc(order * omega * dt / (2.0 * np.pi)) if order else 1.0
 
 
 def _nowhere_still(v: Floats) -> Floats:

@@ -8,7 +8,7 @@ all low-passed alike. Coordinates that are not measured are simulated between th
 ones, driven by the same signals.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
@@ -251,17 +251,7 @@ def residual(
         # as acceleration: as a torque, no inertia and no spring would leave nothing
         left = forces.left[group]
         alone[group] = left * balance.heft / (reach[group] * plant.inertia[group])
-    logged = sum(
-        reach[layout.coordinate[b]] * layout.ratio[b] * plant.input_values[j, 0] * motion.u[name]
-        for j, (name, b) in enumerate(layout.input_body.items())
-        if layout.coordinate[b] in measured
-    )
-    # A drive that clips or drops part of its signal must not look better for it.
-    # A mean is rounded, so that the deviation of what is constant need not be exactly 0.
-    size, sent = (float(np.std(x)) if np.ptp(x) > 0 else 0.0 for x in (push, logged))
-    if sent > 0 and size < LEAST_DRIVE * sent:
-        raise ArithmeticError("hardly anything of the drive's signal would get through")
-    fair = sent / size if sent > 0 else 1.0
+    fair = 1.0 / passed(push, pushed(model, motion.u, measured))
     equations = [fair * (push - total)]
     seen, teeth = balance.seen(layout), balance.link_of
     for k, point in enumerate(balance.points):
@@ -278,3 +268,28 @@ def residual(
         elif k > 0:
             equations.append(alone[group])
     return np.array([motion.reduce(e) for e in equations]), motion.reduce(fair * push)
+
+
+def pushed(model: RigModel, signals: Mapping[str, Floats], groups: Container[int]) -> Floats:
+    """Torque at the driven coordinate by signals of the inputs on these coordinates, (n,)."""
+    layout, plant, reach = model.layout, model.plant(), untwisted(model.plant())
+    out = np.zeros_like(next(iter(signals.values())))
+    for j, (name, body) in enumerate(layout.input_body.items()):
+        if (group := layout.coordinate[body]) in groups:
+            out += reach[group] * layout.ratio[body] * plant.input_values[j, 0] * signals[name]
+    return out
+
+
+def passed(push: Floats, logged: Floats) -> float:
+    """Share of the logged torque that drives let through: a clipped one must not look better.
+
+    Raises
+    ------
+    ArithmeticError
+        Where hardly anything gets through.
+    """
+    # A mean is rounded, so that the deviation of what is constant need not be exactly 0.
+    size, sent = (float(np.std(x)) if np.ptp(x) > 0 else 0.0 for x in (push, logged))
+    if sent > 0 and size < LEAST_DRIVE * sent:
+        raise ArithmeticError("hardly anything of the drive's signal would get through")
+    return size / sent if sent > 0 else 1.0

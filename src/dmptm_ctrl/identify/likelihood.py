@@ -111,9 +111,7 @@ class Likelihood:
 
     def weights(self, left: Sequence[Floats]) -> Floats:
         """Square roots of what each row counts, in the order of `stack`."""
-        rows = zip(
-            self.news, self.scales(left), self.parts(left), self.balance.bursts, strict=True
-        )
+        rows = zip(self.news, self.scales(left), self.parts(left), self.balance.bursts, strict=True)
         return np.concatenate(
             [weights_of(part, news, scale, heavy) for news, scale, part, heavy in rows]
         )

@@ -4,8 +4,8 @@ What is lowered is −2 log-likelihood: each equation normal at its own scale, e
 as the share of it that is independent; and Σ ((p − p0)/σ)² over declared ranges.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
 from typing import NamedTuple
@@ -17,10 +17,9 @@ from dmptm_ctrl.identify.fit import least_in_box, secant
 from dmptm_ctrl.identify.free_parameters import ALL, Free, free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance, residual
 from dmptm_ctrl.identify.likelihood import TOLERANCE, Likelihood
-from dmptm_ctrl.identify.measured_motion import NONE, Nuisance
 from dmptm_ctrl.identify.reading_noise import noise_in_balance
-from dmptm_ctrl.parallel import in_threads, small_matrices
 from dmptm_ctrl.identify.state import State
+from dmptm_ctrl.parallel import in_threads, small_matrices
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel

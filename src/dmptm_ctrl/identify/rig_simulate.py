@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from math import ceil
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.observer import observer_gains, rigid_observer
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
-from dmptm_ctrl.simulate.rig_run import RigRun, march
+from dmptm_ctrl.simulate.rig_run import MAX_SUBSTEPS, RigRun, march, substeps_for
 
 START = 12  # samples from which the first position and speed are taken
 MANY = 4  # samples or fewer tell no speed; the start counts as at rest
@@ -83,7 +84,9 @@ def free_run(model: RigModel, log: Log, *, lead_hz: float = 0.0) -> RigRun:
     position = {b: layout.ratio[b] * q_base * reach[g] for g, b in seen.items()}
     speed = {b: v0[b] for b in seen.values()}
     # a log begins in the midst of things: earlier signals were as its first
+    steps = max(substeps_for(model.plant(), log.sample_time), _steps_of_waves(model, log))
     run = partial(march, model, dt=log.sample_time, position=position, before=u[:, 0])
+    run = partial(run, substeps=min(steps, MAX_SUBSTEPS))
     run = partial(run, speed=_likelier(run, log, u, [dict.fromkeys(speed, 0.0), speed]))
     if lead_hz == 0.0:
         return run(u)
@@ -95,6 +98,29 @@ def free_run(model: RigModel, log: Log, *, lead_hz: float = 0.0) -> RigRun:
         measured = measured - measured[0] + run(u[:, :1]).reading(sensor.name)[0]
     observer = rigid_observer(model.plant(), index, observer_gains(lead_hz, log.sample_time))
     return run(u, observer=observer, measured=measured)
+
+
+def _steps_of_waves(model: RigModel, log: Log) -> int:
+    """Steps per sample that follow the waves over the angle as fast as a log turns: one a radian.
+
+    With fewer, a wave that passes in one step pushes one way all the time.
+    """
+    layout, reach = model.layout, untwisted(model.plant())
+    fastest = 0.0  # of the driven coordinate [rad per sample]
+    for sensor in (s for s in model.rig.sensors if s.channel in log):
+        reading, body = log[sensor.channel], layout.sensor_body[sensor.name]
+        if sensor.measures == "position":
+            rate = np.abs(reading[START:] - reading[:-START]) / START
+        else:
+            rate = np.abs(reading) * log.sample_time
+        by = abs(layout.ratio[body] * reach[layout.coordinate[body]])
+        fastest = max(fastest, float(rate.max(initial=0.0)) / by)
+    turns = [
+        e.values.get("order", 0.0) * abs(layout.ratio[e.on] * reach[layout.coordinate[e.on]])
+        for e in model.effects
+        if e.on in layout.coordinate
+    ]
+    return ceil(fastest * max(turns, default=0.0))
 
 
 def _likelier(

@@ -83,13 +83,12 @@ def _beyond(key: str, fit: RigFit) -> str:
 
 def _pushes(effect: Placed, fit: RigFit) -> str:
     """Friction that is more over a part of the turn, and would push over another."""
-    chain = PLACED_CATALOGUE[effect.name]
-    if chain.site != "friction" or not chain.effect.wave:
+    order = effect.values.get("order")
+    if PLACED_CATALOGUE[effect.name].site != "friction" or not order:  # on a slide it is a slope
         return ""
     layout, plant = fit.model.layout, fit.model.plant()
-    angle = 2.0 * pi * np.arange(TURN) / (TURN * effect.values["order"])
-    least, none = np.full(TURN, np.finfo(float).eps), np.zeros(TURN)
-    rubs = none
+    angle = np.linspace(0.0, 2.0 * pi / float(order), TURN, endpoint=False)
+    least, none, rubs = np.full(TURN, np.finfo(float).eps), np.zeros(TURN), np.zeros(TURN)
     for k, body in enumerate(layout.bodies):
         if layout.coordinate[body] == layout.coordinate[effect.on]:
             lever = abs(layout.ratio[body] / layout.ratio[effect.on])

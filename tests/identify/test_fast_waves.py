@@ -1,14 +1,15 @@
-"""Waves over the angle that pass faster than the samples: they act by their mean."""
+"""Waves over the angle that pass faster than the samples: samples must not fold them."""
 
 import numpy as np
 import pytest
+from scipy.signal import firwin
 from tests.rig_files.truth import Machine
 
 from dmptm_ctrl.diagnosis.rig_diagnose import split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.diagnosis.rig_shapes import orders
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.identify.forces import wave_mean
+from dmptm_ctrl.identify.forces import unfolded
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.rig_simulate import free_run
 from dmptm_ctrl.identify.rig_start import rough_start
@@ -43,24 +44,28 @@ def log_of(push, speed):
     return Log("run", DT * np.arange(push.size), channels, units=UNITS)
 
 
-@pytest.mark.parametrize("speed", [3.0, 40.0, 87.0, 150.0])
-def test_acts_by_its_mean_over_a_sample(speed):
-    """Against Simpson's rule over 2000 points of a sample, at a constant speed."""
+@pytest.mark.parametrize("speed", [3.0, 40.0, 87.0, 90.0, 150.0, 176.0])
+def test_samples_fold_nothing_into_the_band(speed):
+    """Against the same wave sampled 40 times as often, both through the filter of the balance."""
+    log = log_of(np.zeros(4000), 0.0)
+    (motion,) = balance_of(parse_rig(RIG), [log]).motions
     effect = Placed("cogging", "rotor", {"cosine": 0.7, "sine": -0.4, "order": ORDER})
-    middle = np.linspace(0.0, 1.0, 50)
-    fine = np.linspace(-0.5, 0.5, 2001) * DT
 
-    def torque(angle):
-        rows = np.zeros_like(angle), angle, np.full_like(angle, speed), np.zeros_like(angle)
+    def torque(t):
+        rows = np.zeros_like(t), speed * t + 0.1, np.full_like(t, speed), t
         return torque_along([acting_of(effect)], *rows)
 
-    weights = np.ones(2001)
-    weights[1:-1:2], weights[2:-1:2] = 4.0, 2.0
-    expected = [torque(q + speed * fine) @ weights / weights.sum() for q in middle]
-    mean = wave_mean(effect, np.full(50, speed), DT)
-    assert mean * torque(middle) == pytest.approx(np.array(expected), abs=1e-9)
+    time = motion.time
+    fine = DT / 40 * np.arange(40 * time.size)
+    taps = firwin(2001, 2.0 * motion.bandwidth, fs=40 / DT)
+    slow = np.convolve(torque(fine), taps, "same")[::40]
+    share = unfolded(effect, np.full_like(time, speed), motion)
+    inside = slice(60, -60)
+    assert motion.reduce(share * torque(time))[inside] == pytest.approx(
+        motion.reduce(slow)[inside], abs=4e-3
+    )
     still = Placed("unbalance", "rotor", {"cosine": 0.7, "sine": -0.4})
-    assert wave_mean(still, np.full(50, speed), DT) == 1.0
+    assert unfolded(still, time, motion) == 1.0
 
 
 def test_a_run_takes_no_wave_for_a_push():

@@ -256,10 +256,11 @@ def predictions(
 
     def told(without: RigState, final: RigState) -> bool:
         pairs = [*zip(missed(without), missed(final), strict=True)]
-        # a run that diverges tells nothing
+        # a run that diverges tells nothing, nor what a run without them misses by chance
+        least = map(max, floor(final), floor(without))
         sizes = [
-            Squares(*np.square([*pair, min(*pair, least)])) if max(pair) < inf else None
-            for pair, least in zip(pairs, floor(final), strict=True)
+            Squares(*np.square([*pair, min(*pair, one)])) if max(pair) < inf else None
+            for pair, one in zip(pairs, least, strict=True)
         ]
         far = any(m and not near(m.before, m.floor) for m in sizes)
         return far and Errors(1.0, 1.0, 1.0, *sizes).explained >= EXPLAINED

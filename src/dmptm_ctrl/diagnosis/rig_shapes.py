@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent
-from dmptm_ctrl.identify.forces import measured_motion, wave_mean
+from dmptm_ctrl.identify.forces import measured_motion, unfolded
 from dmptm_ctrl.identify.free_parameters import on_slide, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import FEWEST_ROWS, Motion
@@ -68,8 +68,8 @@ def unit_columns(
                 out = -np.sign(omega) * out * (np.abs(omega) > slow)
             else:
                 out = torque_along(acting, load, theta, omega, motion.time)
-            mean = wave_mean(shape, omega, motion.dt)
-            columns.append(motion.reduce(reach * r * mean * out))
+            share = unfolded(shape, omega, motion)
+            columns.append(motion.reduce(reach * r * share * out))
         parts.append(_in_equations(fit, balance, body, np.array(columns).T))
     return parts
 

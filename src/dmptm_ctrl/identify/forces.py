@@ -278,13 +278,13 @@ def _friction(
             if chain.site == "friction":
                 moves = theta, omega, motion.time, load[body]
                 scale, added = friction_along([acting_of(effect)], *moves)
-                mean = wave_mean(effect, omega, motion.dt)
-                factor = factor * (1.0 + mean * (scale - 1.0))
-                more = more + mean * np.sign(omega) * added
+                share = unfolded(effect, omega, motion)
+                factor = factor * (1.0 + share * (scale - 1.0))
+                more = more + share * np.sign(omega) * added
             elif chain.site in ("motor", "load"):
                 moves = volts.get(body, none), theta, omega, motion.time
-                mean = wave_mean(effect, omega, motion.dt)
-                other -= r * mean * torque_along([acting_of(effect)], *moves)
+                share = unfolded(effect, omega, motion)
+                other -= r * share * torque_along([acting_of(effect)], *moves)
         friction += factor * (level + r * more)
     for k in np.flatnonzero(plant.bristles[:, 0]).tolist():
         if plant.body_coordinate[k] == group:
@@ -297,13 +297,18 @@ def _friction(
     return friction, other
 
 
-def wave_mean(effect: Placed, omega: Floats, dt: float) -> Floats | float:
-    """Share of a wave over the angle that its mean over a sample keeps, (n,).
+def unfolded(effect: Placed, omega: Floats, motion: Motion) -> Floats | float:
+    """Share of a wave over the angle that counts at samples, (n,).
 
-    At the instants of samples alone, a wave that is faster than they are looks like a slow one.
+    All of what passes the filter of the balance; nothing of what is so fast that samples would
+    fold it into its band.
     """
     order = effect.values.get("order", 0.0)
-    return np.sinc(order * omega * dt / (2.0 * np.pi)) if order else 1.0
+    if not order:
+        return 1.0
+    low, high = motion.bandwidth, 1.0 / motion.dt - motion.bandwidth
+    beyond = (np.abs(order * omega) / (2.0 * np.pi) - low) / (high - low)
+    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(beyond, 0.0, 1.0)))
 
 
 def _nowhere_still(v: Floats) -> Floats:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.diagnosis.candidate import JOINED, Keys, Rows
-from dmptm_ctrl.diagnosis.select import joint_gain
+from dmptm_ctrl.diagnosis.select import JointGain
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import Nuisance
 from dmptm_ctrl.identify.rig_fit import RigFit, fit_rig, prior_rows, residuals
@@ -164,7 +164,7 @@ class Tangent:
     def bounded_gain(self, parts: Sequence[Floats]) -> float:
         """Fall of −2 log-likelihood to first order, the fitted numbers in their ranges."""
         columns: dict[Keys, Floats] = {(): self.stack(parts)}
-        return joint_gain(Rows(self.whole, self.slopes, *self.room, columns))(((),))
+        return JointGain(Rows(self.whole, self.slopes, *self.room, columns)).bounded(((),))
 
     def score(self, parts: Sequence[Floats]) -> tuple[float, Floats]:
         """Return the fall of −2 log-likelihood to first order, and the amplitudes."""

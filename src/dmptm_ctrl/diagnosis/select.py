@@ -7,7 +7,6 @@ acceptance level holds for every effect, place and drive.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 from itertools import chain, combinations
 from typing import Any
 
@@ -178,19 +177,20 @@ def likely_sets(
     `single` one. What goes well with that is found beside it.
     """
     by_keys = {c.keys: c for c in candidates if np.isfinite(c.gain)}
-    gain = cache(joint_gain(evidence.rows(state, list(by_keys.values()))))
+    joint = JointGain(evidence.rows(state, list(by_keys.values())))
+    gain = joint.bounded
     others = [keys for keys in by_keys if single is None or not overlap((*keys, *single.keys))]
     most = gain((single.keys,)) if single else 0.0
     pairs = [p for p in combinations(others, 2) if not overlap(chain.from_iterable(p))]
-    pairs.sort(key=gain, reverse=True)
+    best_pairs = joint.best(pairs, SET_BEAM)
     triples: set[tuple[Keys, ...]] = {
         tuple(sorted({*pair, keys}))
-        for pair in pairs[:SET_BEAM]
+        for pair in best_pairs
         for keys in others
         if not overlap(chain.from_iterable((*pair, keys)))
     }
-    likely: list[tuple[Keys, ...]] = list(pairs[:SET_TRIALS])
-    likely += sorted(sorted(triples), key=gain, reverse=True)[:SET_TRIALS]
+    likely: list[tuple[Keys, ...]] = list(best_pairs[:SET_TRIALS])
+    likely += joint.best(sorted(triples), SET_TRIALS)
     known: list[tuple[Keys, ...]] = [(keys,) for keys in by_keys]  # what they are worth was seen
     found = []
     for group in likely:
@@ -203,31 +203,58 @@ def likely_sets(
     return found
 
 
-def joint_gain(rows: Rows) -> Callable[[tuple[Keys, ...]], float]:
-    """Return a function that gives the fall of −2 log-likelihood by a set, to first order.
+class JointGain:
+    """Fall of −2 log-likelihood by sets of effects, to first order.
 
     Parameters stay in their ranges: beyond, one would take up what a missing effect does.
     """
-    names = list(rows.columns)
-    table = np.column_stack([rows.slopes, *rows.columns.values(), rows.left])
-    size = np.linalg.norm(table, axis=0)
-    size[size == 0.0] = 1.0
-    size[-1] = 1.0
-    r = np.asarray(np.linalg.qr(table / size, mode="r"), np.float64)
-    own = rows.slopes.shape[1]
-    ends = own + np.cumsum([0, *(rows.columns[n].shape[1] for n in names)])
-    places = {n: np.arange(ends[i], ends[i + 1]) for i, n in enumerate(names)}
-    low, high = rows.low * size[:own], rows.high * size[:own]
-    high = np.maximum(high, low + np.finfo(float).eps)
 
-    def left(group: tuple[Keys, ...]) -> float:
-        used = np.concatenate([np.arange(own), *(places[n] for n in group)])
-        free = np.full(used.size - own, np.inf)
-        bounds = np.concatenate([low, -free]), np.concatenate([high, free])
+    def __init__(self, rows: Rows) -> None:
+        names = list(rows.columns)
+        table = np.column_stack([rows.slopes, *rows.columns.values(), rows.left])
+        size = np.linalg.norm(table, axis=0)
+        size[size == 0.0] = 1.0
+        size[-1] = 1.0
+        self._r = np.asarray(np.linalg.qr(table / size, mode="r"), np.float64)
+        self._own = own = rows.slopes.shape[1]
+        ends = own + np.cumsum([0, *(rows.columns[n].shape[1] for n in names)])
+        self._places = {n: np.arange(ends[i], ends[i + 1]) for i, n in enumerate(names)}
+        self._low, high = rows.low * size[:own], rows.high * size[:own]
+        self._high = np.maximum(high, self._low + np.finfo(float).eps)
+        self._known: dict[tuple[Keys, ...], float] = {}
+        self._alone = self._left(())
+
+    def bounded(self, group: tuple[Keys, ...]) -> float:
+        """Return the fall by a set."""
+        if group not in self._known:
+            self._known[group] = self._alone - self._left(group)
+        return self._known[group]
+
+    def best(self, groups: Sequence[tuple[Keys, ...]], count: int) -> list[tuple[Keys, ...]]:
+        """Return the sets that explain most, best first.
+
+        Parameters free of their ranges could only do more: few sets need be looked at.
+        """
+        found: list[tuple[Keys, ...]] = []
+        for most, group in sorted(((self._free(g), g) for g in groups), reverse=True):
+            if len(found) >= count and most < self.bounded(found[count - 1]):
+                break
+            found = sorted([*found, group], key=self.bounded, reverse=True)[:count]
+        return found
+
+    def _left(self, group: tuple[Keys, ...]) -> float:
+        used = np.concatenate([np.arange(self._own), *(self._places[n] for n in group)])
+        free = np.full(used.size - self._own, np.inf)
+        bounds = np.concatenate([self._low, -free]), np.concatenate([self._high, free])
+        r = self._r
         return 2.0 * float(lsq_linear(r[:, used], -r[:, -1], bounds, method="bvls").cost)
 
-    alone = left(())
-    return lambda group: alone - left(group)
+    def _free(self, group: tuple[Keys, ...]) -> float:
+        """Upper bound of the fall: with all parameters free."""
+        used = np.concatenate([self._places[n] for n in group])
+        beyond = self._r[self._own :]
+        left = beyond[:, -1]
+        return self._alone - float(left @ left) + explained(left, beyond[:, used])
 
 
 def explained(target: Floats, columns: Floats) -> float:

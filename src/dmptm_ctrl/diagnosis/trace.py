@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dmptm_ctrl.contract import BALANCE, MOTOR_ENCODERS, RUNS, Effect
 from dmptm_ctrl.diagnosis.candidate import Rows
 from dmptm_ctrl.diagnosis.residual import Residual
-from dmptm_ctrl.diagnosis.select import joint_gain
+from dmptm_ctrl.diagnosis.select import JointGain
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.balance import (
     ROWS,
@@ -129,7 +129,7 @@ class Trace:
     def bounded_gain(self, columns: Floats) -> float:
         """Fall of the weighted square by columns (m, k), the drive's parameters in their ranges."""
         tall = np.pad(columns, [(0, self.rows), (0, 0)])
-        return joint_gain(Rows(self.whole, self.slopes, *self.room, {(): tall}))(((),))
+        return JointGain(Rows(self.whole, self.slopes, *self.room, {(): tall})).bounded(((),))
 
 
 def effect_columns(trace: Trace, effect: Effect, shapes: Mapping[str, float]) -> Floats:

@@ -1,4 +1,4 @@
-"""Three real machines by their rig files; the figures to reach are from the data's READMEs."""
+"""Real machines by their rig files; the figures to reach are from the data's READMEs."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +12,7 @@ from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig, split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.diagnosis.rig_report import effect_parameters
 from dmptm_ctrl.diagnosis.select import best_of
-from dmptm_ctrl.drive.rigfile import load_rig
+from dmptm_ctrl.drive.rigfile import load_rig, parse_rig
 from dmptm_ctrl.identify.inverse_dynamics import balance_of, residual
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.identify.state import State
@@ -149,3 +149,34 @@ def test_bldc_cogs_and_rubs_alike_both_ways():
     p = next(e for e in found.effects if e.name == "cogging").parameters
     assert p["order"]["value"] == 72
     assert 0.14 < p["amplitude"]["value"] < 0.23  # A; 0.17 to 0.23 by the README
+
+
+def test_bldc_by_a_sine_of_current_its_second_half_held_out():
+    """Teeth of the magnets pass the balance at reversals only, and are no vibration."""
+    text = (RIGS / "bldc_cogging.toml").read_text(encoding="utf-8")
+    rig = parse_rig(text + 'held_out = ["second"]\n', "rig.toml")
+    (log,) = [x for x in rig.read(REAL / "bldc_cogging") if x.name == "acc_current"]
+    half = len(log) // 2
+    parts = {"first": slice(0, half), "second": slice(half, None)}
+    logs = [
+        replace(
+            log,
+            name=name,
+            time=log.time[own],
+            channels={k: v[own] for k, v in log.channels.items()},
+        )
+        for name, own in parts.items()
+    ]
+    found = diagnose_rig(logs, rig)
+    assert {"coulomb_friction", "cogging"} <= set(names(found))
+    assert not {"base_vibration", "drive_delay", "current_lag"} & set(names(found))
+    p = next(e for e in found.effects if e.name == "cogging").parameters
+    assert p["order"]["value"] == 72
+    assert 0.17 < p["amplitude"]["value"] < 0.23  # A, by the README
+    assert found.error["after"]["speed"]["fit_percent"] > 94.0
+
+
+def test_robot_axis_with_a_weight_has_no_delay():
+    found = diagnose_rig(REAL / "robot_axes", load_rig(RIGS / "robot_axis_2.toml"))
+    assert {"drive_offset", "unbalance"} & set(names(found))
+    assert not {"drive_delay", "current_lag"} & set(names(found))

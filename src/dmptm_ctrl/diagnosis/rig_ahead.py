@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.rig_evidence import RigState
 from dmptm_ctrl.diagnosis.rig_runs import Runs
+from dmptm_ctrl.diagnosis.rig_state import RigState
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.identify.compared_signals import correlation_length
 from dmptm_ctrl.identify.free_parameters import Free

@@ -22,7 +22,7 @@ from dmptm_ctrl.simulate.along import stops_along
 from dmptm_ctrl.simulate.model import Floats
 
 if TYPE_CHECKING:
-    from dmptm_ctrl.diagnosis.rig_evidence import RigState
+    from dmptm_ctrl.diagnosis.rig_state import RigState
 
 KNOTS = 17
 STIFFNESS = (1e-3, 1e-1, 1e1)  # weights of the second differences, tried

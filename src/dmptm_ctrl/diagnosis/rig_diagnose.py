@@ -20,12 +20,7 @@ from dmptm_ctrl.diagnosis.rig_curves import (
     mean_square,
     predicted,
 )
-from dmptm_ctrl.diagnosis.rig_evidence import (
-    RigEvidence,
-    RigState,
-    rise,
-    within_floor,
-)
+from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.diagnosis.rig_report import declared_of, report_of
 from dmptm_ctrl.diagnosis.rig_runs import Runs
 from dmptm_ctrl.diagnosis.rig_screen import (
@@ -34,6 +29,7 @@ from dmptm_ctrl.diagnosis.rig_screen import (
     refuse_reversed,
     screen_rig,
 )
+from dmptm_ctrl.diagnosis.rig_state import RigState, rise, within_floor
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
 from dmptm_ctrl.diagnosis.select import Selection, beyond_need, select_effects
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults

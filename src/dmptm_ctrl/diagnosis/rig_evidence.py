@@ -1,14 +1,12 @@
 """Evidence from the torque balance of a drive of any shape, for the selection of effects."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
 from math import isfinite
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.budget import NONE, near
 from dmptm_ctrl.diagnosis.candidate import (
     LEVEL,
     Candidate,
@@ -18,16 +16,19 @@ from dmptm_ctrl.diagnosis.candidate import (
     name_of,
     standard_error,
 )
-from dmptm_ctrl.diagnosis.impedance import effort, loudness
 from dmptm_ctrl.diagnosis.rig_candidates import structures, trials
-from dmptm_ctrl.diagnosis.rig_curves import columns_of, mean_square, torques_of, variables_of
-from dmptm_ctrl.diagnosis.rig_held import held_state
 from dmptm_ctrl.diagnosis.rig_objections import amplitudes_of, objection
 from dmptm_ctrl.diagnosis.rig_shapes import MAX_ORDER, SPOT_BINS
-from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
-from dmptm_ctrl.diagnosis.select import Selection, ranked
+from dmptm_ctrl.diagnosis.rig_state import (
+    RigState,
+    counted_rows,
+    independent,
+    whiter,
+    with_standing_on,
+)
+from dmptm_ctrl.diagnosis.rig_tangent import Trial
+from dmptm_ctrl.diagnosis.select import NEAR, ranked
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
-from dmptm_ctrl.identify.compared_signals import correlation_length
 from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.free_parameters import (
     free_parameters,
@@ -54,72 +55,6 @@ SETTLE = 30  # iterations at most; an unsettled fit would lend its gain to the n
 FIRST = 6  # iterations of a candidate's fit
 FITTED = 4  # candidates that are fitted at each look; the others are judged to first order
 STRUCTURES = SHAFT_COMPLIANCE.name, BACKLASH.name
-
-
-@dataclass(frozen=True, eq=False)
-class RigState:
-    """A model fitted to balances of a drive of any shape.
-
-    Attributes
-    ----------
-    fit : RigFit
-    held : Balance
-        Logs or stretches on which nothing is fitted but what belongs to a log alone.
-    keys : tuple of str
-        Effects that were added.
-    seen : sequence of Trial
-        What was tried beside the model before the last was added.
-    """
-
-    fit: RigFit
-    held: Balance
-    keys: tuple[str, ...] = ()
-    seen: Sequence[Trial] = ()
-
-    @property
-    def logs(self) -> Balance:
-        """Logs or stretches that it is fitted to."""
-        return self.fit.likelihood.balance
-
-    @cached_property
-    def loudness(self) -> float:
-        """Logarithm of the torque that the model makes of a motion, over a rigid one's."""
-        return loudness(self.fit.model, self.logs)
-
-    @cached_property
-    def effort(self) -> float:
-        """Logarithm of the torque that all bodies take per acceleration, before the amplifiers."""
-        return effort(self.fit.model, self.logs)
-
-    @property
-    def on_inputs(self) -> set[str]:
-        """Effects on inputs, which may stand for inertia."""
-        return {e.key for e in self.fit.model.effects if e.on in self.fit.model.layout.inputs}
-
-    @cached_property
-    def held_state(self) -> State:
-        """The model with the encoder zeros and twists of the held-out logs."""
-        return held_state(self.fit, self.held)
-
-    @cached_property
-    def held_left(self) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
-        """Residual and drive on the held-out logs."""
-        return residuals(self.held_state, self.held)
-
-    @cached_property
-    def tangent(self) -> Tangent:
-        """What is left, with what the model's parameters could explain projected out."""
-        return Tangent(self.fit)
-
-    @property
-    def target(self) -> Floats:
-        """Weighted residual, projected, (m,)."""
-        return self.tangent.target
-
-    @cached_property
-    def trials(self) -> list[Trial]:
-        """Every effect at every place, with starting values."""
-        return trials(self.tangent)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,14 +104,28 @@ class RigEvidence:
             return [*named, *self._structures(state, only)]
         steps = sorted(state.trials, key=lambda t: -t.gain)
         judged = [self._fitted(state, (t,), FIRST) for t in steps[:FITTED]]
-        rough = ranked([self._first_order(state, t) for t in steps[FITTED:]])
-        # none is chosen that was not fitted
-        while rough and rough[0].acceptable:
-            best = max((c.evidence for c in judged if c.acceptable), default=0.0)
-            if rough[0].evidence < best:
-                break
-            judged.append(self._fitted(state, rough.pop(0).fitted[0], FIRST))
-        return [*judged, *self._structures(state), *rough]
+        judged += self._structures(state)
+
+        def best() -> float:
+            return max((c.evidence for c in judged if c.acceptable), default=0.0)
+
+        # none is chosen that was not fitted, and few could be
+        rough: list[Candidate] = []
+        for trial in steps[FITTED:]:
+            if self._most(state) * trial.gain < best() - NEAR:
+                weaker = self._plain((trial,), state.fit)
+                rough.append(replace(weaker, gain=trial.gain, objection="others explain more"))
+                continue
+            one = self._first_order(state, trial)
+            able = one.acceptable and one.evidence >= best()
+            (judged if able else rough).append(
+                self._fitted(state, (trial,), FIRST) if able else one
+            )
+        return [*judged, *ranked(rough)]
+
+    def _most(self, state: RigState) -> float:
+        """Evidence per gain on the fitted logs, at most: held-out ones tell no more by rows."""
+        return 1.0 + max(1.0 / self.ratio(state), 1.0)
 
     def _structures(self, state: RigState, only: Sequence[str] | None = None) -> list[Candidate]:
         """Fit springs and gaps: from each start a little, the best of each to the end."""
@@ -196,8 +145,7 @@ class RigEvidence:
     def _first_order(self, state: RigState, trial: Trial) -> Candidate:
         """Judge a candidate after one step of the model's parameters, by their known slopes."""
         there, fit = trial.placed_in(state.fit.state), state.fit
-        most = 1.0 + max(1.0 / self.ratio(state), 1.0)  # held-out logs show no more by their rows
-        gain = trial.gain
+        gain, most = trial.gain, self._most(state)
         if most * gain < LEVEL and trial.columns:
             gain = max(gain, state.tangent.bounded_gain(trial.columns))
         if most * gain < LEVEL:
@@ -301,7 +249,7 @@ class RigEvidence:
         if larger.on_inputs != smaller.on_inputs:
             apart += larger.effort - smaller.effort
         louder = 2.0 * float(likelihood.news.mean()) * apart
-        rows, held_rows = _rows(larger)
+        rows, held_rows = counted_rows(larger)
         return fitted - searched + rows * louder, fall + held_rows * louder
 
     def errors(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
@@ -317,7 +265,7 @@ class RigEvidence:
         )
 
     def ratio(self, state: RigState) -> float:
-        fitted, held = _rows(state)
+        fitted, held = counted_rows(state)
         return fitted / max(held, 1)
 
     def columns(self, state: RigState, candidate: Candidate) -> Floats:
@@ -393,12 +341,6 @@ class RigEvidence:
         return without.tangent.project(without.tangent.stack(change))
 
 
-def _rows(state: RigState) -> tuple[int, int]:
-    """Rows of the fitted and of the held-out logs that count."""
-    fitted, held = (sum(int(m.moving.sum()) for m in b.motions) for b in (state.logs, state.held))
-    return fitted, held
-
-
 def _searched(key: str, logs: Balance) -> float:
     """Evidence that the best of all starts finds where there is none: 2 log of their number."""
     name = name_of(key)
@@ -411,92 +353,3 @@ def numbers_of(key: str) -> int:
     """Numbers of an effect: those that places of one make share, and those of each."""
     chain = PLACED_CATALOGUE[name_of(key)]
     return len(chain.keep) + len(chain.own) * (len(members(key)) - 1)
-
-
-def within_floor(selection: Selection, floor: float) -> bool:
-    """Whether the declared model is near what all effects leave, in every equation, held out.
-
-    And near the floor: mean square of the first equation that no model predicts.
-    """
-    base, final = selection.base, selection.final
-    if not near(mean_square(base.held_left[0], base.held), floor):
-        return False
-    held = final.fit.likelihood.on(final.held)
-    before, after = (held.sizes(one.held_left[0]) for one in (base, final))
-    return bool(np.all(before <= NONE * np.hypot(after, held.floor)))
-
-
-def of_teeth(final: RigState) -> Callable[[Sequence[Floats]], float]:
-    """Return what toothed links add to the mean square of the first equation, held out.
-
-    Each equation counts in units of its scale under the final model.
-    """
-    likelihood = final.fit.likelihood.on(final.held)
-    scales, rows = likelihood.scales(final.held_left[0]), likelihood.rows
-
-    def more(left: Sequence[Floats]) -> float:
-        ratio = likelihood.sizes(left) / scales
-        of = (rows[k] / rows[0] * ratio[k] ** 2 for k in final.held.teeth.values())
-        return float(scales[0] ** 2 * sum(of))
-
-    return more
-
-
-def rise(without: RigState, final: RigState) -> float:
-    """Share by which what is left of all balances rises without an effect."""
-    likelihood, held = final.fit.likelihood, final.fit.likelihood.on(final.held)
-    scales = likelihood.scales(final.fit.left)
-    squares = [
-        sum(
-            float(np.sum(side.rows * (side.sizes(left) / scales) ** 2))
-            for side, left in ((likelihood, one.fit.left), (held, one.held_left[0]))
-        )
-        for one in (without, final)
-    ]
-    return squares[0] / max(squares[1], 1e-300) - 1.0
-
-
-def independent(state: RigState) -> Floats:
-    """Share of the rows of each equation that is independent.
-
-    From the correlation of what neither the parameters, nor any effect, nor any curve explains:
-    what is missing correlates too, and would hide itself.
-    """
-    tangent, likelihood = state.tangent, state.fit.likelihood
-    table = [tangent.slopes, *(tangent.stack(t.columns) for t in state.seen or state.trials)]
-    for signal in variables_of(state.fit).values():
-        for _, torque in torques_of(state.fit, signal):
-            own = columns_of(state.fit.left[0].shape[0], likelihood.balance, torque)
-            table.append(tangent.stack(own))
-    columns = np.hstack(table)
-    size = np.linalg.norm(columns, axis=0)
-    good = np.isfinite(size) & (size > 0)
-    scaled = columns[:, good] / size[good]
-    square = scaled.T @ scaled + 1e-6 * np.eye(int(good.sum()))
-    rest = tangent.target - scaled @ np.linalg.solve(square, scaled.T @ tangent.target)
-    found, start = [], 0
-    for part in likelihood.parts(state.fit.left):
-        own = rest[start : start + len(part)]
-        start += len(part)
-        found.append(1.0 / correlation_length(own) if own.size > 2 else 1.0)
-    return np.array(found)
-
-
-def whiter(fit: RigFit) -> RigFit:
-    """Count rows by their correlation in a fit where that is less than without its last effect.
-
-    A twist that wanders in a gap correlates as long as the gap is not in the model.
-    """
-    like = fit.likelihood
-    own = [1.0 / correlation_length(p) if p.size > 2 else 1.0 for p in like.parts(fit.left)]
-    return replace(fit, likelihood=replace(like, news=np.maximum(like.news, own)))
-
-
-def with_standing_on(fit: RigFit, key: str) -> set[str]:
-    """Keys of an effect at each of its places, and of those on a body or link that it makes."""
-    if name_of(key) != SHAFT_COMPLIANCE.name:
-        return {*members(key)}
-    rig, layout = fit.model.rig, fit.model.layout
-    own = {b.name for b in rig.bodies} | {k.name for k in rig.links if not k.rigid}
-    made = (set(layout.bodies) | set(layout.links)) - own
-    return {*members(key), *(e.key for e in fit.model.effects if e.on in made)}

@@ -7,7 +7,7 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.quality import Rows, fold
 from dmptm_ctrl.diagnosis.rig_curves import Curve, variables_of
-from dmptm_ctrl.diagnosis.rig_evidence import RigState
+from dmptm_ctrl.diagnosis.rig_state import RigState
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.plots.diagnosis import Evidence
 from dmptm_ctrl.signals.units import parse_unit

@@ -21,8 +21,9 @@ from dmptm_ctrl.diagnosis.negligible import material_together
 from dmptm_ctrl.diagnosis.ranking import ranking_of
 from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, Picture
 from dmptm_ctrl.diagnosis.rig_curves import Curve, accepted, curve_share, mean_square, predicted
-from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, RigState, of_teeth
+from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.diagnosis.rig_runs import Runs, variable_of
+from dmptm_ctrl.diagnosis.rig_state import RigState, of_teeth
 from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.diagnosis.sensors import SENSOR_PROBABILITY, SensorFault
 from dmptm_ctrl.diagnosis.summary import correlated

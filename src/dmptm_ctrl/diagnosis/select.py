@@ -28,6 +28,7 @@ from dmptm_ctrl.simulate.model import Floats
 # Evidence per unit of log-odds between rivals: 2 where the likelihood is right; laws that are
 # only nearly right make it less sharp.
 TEMPERATURE = 4.0
+NEAR = 4.0 * TEMPERATURE  # evidence within which the logs hardly tell rivals apart
 MOST = 16  # effects; a drive that seems to need more is not explained by effects
 SET_BEAM = 12  # pairs that are made triples
 SET_TRIALS = 3  # pairs, and triples, that are fitted
@@ -72,8 +73,8 @@ class Entry:
     @property
     def confusable_with(self) -> tuple[str, ...]:
         """Keys of rivals that the logs hardly tell from it."""
-        near = self.evidence - 4.0 * TEMPERATURE
-        return tuple(r.keys[0] for r in self.rivals if r.evidence > near and not r.objection)
+        least = self.evidence - NEAR
+        return tuple(r.keys[0] for r in self.rivals if r.evidence > least and not r.objection)
 
 
 @dataclass(eq=False)
@@ -162,8 +163,8 @@ def best_of(able: Sequence[Candidate], ratio: float) -> Candidate:
         return min(one.gain, ratio * one.held_gain) - LEVEL * len(one.keys)
 
     best = max(able, key=worth)
-    near = 4.0 * TEMPERATURE  # much more evidence on the fitted logs alone is not alike
-    alike = [c for c in able if abs(c.evidence - best.evidence) < near]
+    # much more evidence on the fitted logs alone is not alike
+    alike = [c for c in able if abs(c.evidence - best.evidence) < NEAR]
     alike = [c for c in alike if len(c.keys) <= len(best.keys)]
     return min(alike, key=lambda c: c.plainness)
 
@@ -365,7 +366,7 @@ def other_way(
         first = evidence.adopt(without, rival)
         if impossible(evidence, without, first, rival.keys):
             continue
-        ahead = 0.0 if rival.plainness < own else 4.0 * TEMPERATURE
+        ahead = 0.0 if rival.plainness < own else NEAR
         if rival.evidence > sum(gains) + ahead:
             return first
         for second in evidence.candidates(first, [key]):

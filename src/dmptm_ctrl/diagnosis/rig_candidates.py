@@ -1,6 +1,6 @@
 """What a drive of any shape may lack: every effect at every place, with starting values."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -100,9 +100,11 @@ def makes(model: RigModel, chain: PlacedEffect, places: Sequence[str]) -> Iterat
             yield group
 
 
-def structures(tangent: Tangent, only: Sequence[str] | None = None) -> list[Trial]:
+def structures(
+    tangent: Tangent, only: Collection[str] | None = None, left_out: Collection[str] = ()
+) -> list[Trial]:
     """Return springs and gaps, which change how many coordinates move, or cost most to try."""
-    present = {e.key for e in tangent.fit.model.effects}
+    present = {*(e.key for e in tangent.fit.model.effects), *left_out}
 
     def wanted(key: str) -> bool:
         return key not in present and (only is None or key in only)

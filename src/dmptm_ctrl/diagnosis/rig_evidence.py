@@ -1,8 +1,8 @@
 """Evidence from the torque balance of a drive of any shape, for the selection of effects."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite
 
 import numpy as np
@@ -69,6 +69,7 @@ class RigEvidence:
     held: Balance
     jobs: int = 2
     read: Sequence[Log] = ()
+    idle: set[str] = field(default_factory=set)  # springs and gaps that were not asked for
 
     def base(self, start: State) -> RigState:
         """Fit the declared model, from rough values."""
@@ -97,14 +98,17 @@ class RigEvidence:
     def candidates(self, state: RigState, only: Sequence[str] | None = None) -> list[Candidate]:
         """Fit every effect that balances can show beside a model.
 
-        The few that explain most are fitted; the others are judged to first order.
+        The few that explain most are fitted; the others are judged to first order. Springs and gaps
+        that were not asked for are tried again where nothing else is.
         """
         if only is not None:
             named = [self._fitted(state, (t,), FIRST) for t in trials(state.tangent, only)]
             return [*named, *self._structures(state, only)]
         steps = sorted(state.trials, key=lambda t: -t.gain)
         judged = [self._fitted(state, (t,), FIRST) for t in steps[:FITTED]]
-        judged += self._structures(state)
+        if not state.keys:
+            self.idle.clear()
+        judged += self._structures(state, left_out={*self.idle})
 
         def best() -> float:
             return max((c.evidence for c in judged if c.acceptable), default=0.0)
@@ -121,16 +125,20 @@ class RigEvidence:
             (judged if able else rough).append(
                 self._fitted(state, (trial,), FIRST) if able else one
             )
+        if best() == 0.0 and self.idle:
+            judged += self._structures(state, only={*self.idle})
         return [*judged, *ranked(rough)]
 
     def _most(self, state: RigState) -> float:
         """Evidence per gain on the fitted logs, at most: held-out ones tell no more by rows."""
         return 1.0 + max(1.0 / self.ratio(state), 1.0)
 
-    def _structures(self, state: RigState, only: Sequence[str] | None = None) -> list[Candidate]:
+    def _structures(
+        self, state: RigState, only: Collection[str] | None = None, left_out: Collection[str] = ()
+    ) -> list[Candidate]:
         """Fit springs and gaps: from each start a little, the best of each to the end."""
         best: dict[Keys, Candidate] = {}
-        for trial in structures(state.tangent, only):
+        for trial in structures(state.tangent, only, left_out):
             one = self._fitted(state, (trial,), FIRST)
             if one.keys not in best or one.evidence > best[one.keys].evidence:
                 best[one.keys] = one
@@ -140,6 +148,9 @@ class RigEvidence:
                 with suppress(ValueError, ArithmeticError):
                     done = self._to_the_end(fit.state, fit, (*state.keys, *keys))
                     best[keys] = self._candidate(state, group, whiter(done))
+        tried = {keys[0]: one for keys, one in best.items()}
+        self.idle.difference_update(tried)
+        self.idle.update(key for key, one in tried.items() if not one.demanded)
         return list(best.values())
 
     def _first_order(self, state: RigState, trial: Trial) -> Candidate:

@@ -182,7 +182,7 @@ class RigEvidence:
                 there, state.logs, iterations=iterations, like=like, near=alike, jobs=self.jobs
             )
             found = self._candidate(state, tuple(group), fit)
-            if found.objection and found.demanded:  # impossible on the way is not impossible
+            if found.objection and found.demanded and len(group) == 1:  # on the way, perhaps
                 like = replace(like, doubt=fit.doubt)
                 bare = fit_rig(state.fit.state, state.logs, like=like, jobs=self.jobs)
                 fit = fit_rig(fit.state, state.logs, iterations=SETTLE, like=like, jobs=self.jobs)

@@ -15,6 +15,7 @@ from scipy.optimize import lsq_linear
 
 from dmptm_ctrl.diagnosis.candidate import (
     LEVEL,
+    NO_DIFFERENCE,
     Candidate,
     Evidence,
     Keys,
@@ -175,9 +176,12 @@ def likely_sets(
     """Fit the pairs and triples that may explain most; they may hide each other one by one.
 
     Those alone that are more to first order than their parts that were fitted, and than the best
-    `single` one. What goes well with that is found beside it.
+    `single` one. What goes well with that is found beside it. Where effects were found and no more
+    is, what is impossible beside them is so in a set.
     """
-    by_keys = {c.keys: c for c in candidates if np.isfinite(c.gain)}
+    last, hidden = state.keys and single is None, ("", NO_DIFFERENCE)
+    finite = [c for c in candidates if np.isfinite(c.gain)]
+    by_keys = {c.keys: c for c in finite if not last or c.objection in hidden}
     joint = JointGain(evidence.rows(state, list(by_keys.values())))
     gain = joint.bounded
     others = [keys for keys in by_keys if single is None or not overlap((*keys, *single.keys))]

@@ -359,6 +359,7 @@ def test_a_vibration_exactly_at_a_high_harmonic_is_the_input():
     assert _harmonic(62.0018, 0.0026, wave, dt)
     assert not _harmonic(62.3, 0.0026, wave, dt)
     assert not _harmonic(62.02, 0.0026, wave, dt)
+    assert not _harmonic(62.0, 0.0026, np.full(13_500, 0.4), dt)
 
 
 @pytest.mark.parametrize(("level", "pushes"), [(0.0, True), (0.01, True), (0.06, False)])

@@ -132,7 +132,8 @@ def _harmonic(f: float, error: float, u: Floats, dt: float) -> bool:
     size = FINER * u.size
     power = np.abs(np.fft.rfft((u - u.mean()) * np.hanning(u.size), size)) ** 2
     top = int(np.argmax(power))
-    if power[max(top - 2 * FINER, 0) : top + 2 * FINER + 1].sum() < LINE * power.sum():
+    line = power[max(top - 2 * FINER, 0) : top + 2 * FINER + 1].sum()
+    if not 0 < top < power.size - 1 or line < LINE * power.sum():
         return False
     before, peak, after = np.log(np.maximum(power[top - 1 : top + 2], 1e-300))
     wave = (top + 0.5 * (before - after) / (before - 2 * peak + after)) / (size * dt)

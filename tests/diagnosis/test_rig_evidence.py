@@ -14,6 +14,7 @@ from dmptm_ctrl.diagnosis.html import error_rows
 from dmptm_ctrl.diagnosis.rig_diagnose import _no_gap, diagnose_rig, predictions, split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.diagnosis.rig_objections import _harmonic, objection
+from dmptm_ctrl.diagnosis.rig_runs import Runs
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rig_dual import paper_rig
 from dmptm_ctrl.drive.rigfile import parse_rig
@@ -553,3 +554,34 @@ def test_a_better_model_tells_anew_when_hidden_teeth_touch():
         for state in (base, evidence.closed(better))
     ]
     assert told[1] < 0.1 * told[0]
+
+
+def test_runs_through_impacts_are_compared_by_what_is_expected():
+    """A hundred-millionth of a gap moves a single run; the mean of nine moves a third as much."""
+    machine = Machine(
+        gain=1.0, emf=0.0, j1=2e-4, j2=0.013, ratio=10.0, k=40.0, c=2e-3, gap=0.03, fc=5e-3,
+        fc2=0.04, b1=2e-4, b2=0.02,
+    )  # fmt: skip
+    kinds = ("multisine", 0.1), ("chirp", 0.1)
+    bench = Bench(machine, kinds, 8.0, 2e-3, counts=65536, sensors=("position",))
+    model = RigModel(parse_rig(bench.rig().replace("shaft.coupling", "mesh.coupling"), "rig.toml"))
+    known = {"motor.inertia": 2e-4, "motor.viscous": 2e-4, "load.inertia": 0.013}
+    known = {f"body.{key}": value for key, value in known.items()} | {"body.load.viscous": 0.02}
+    model = model.with_values(
+        {**known, "link.coupling.stiffness": 40.0, "link.coupling.damping": 2e-3}
+    )
+    for body, level in (("motor", 5e-3), ("load", 0.04)):
+        model = model.with_effect(Placed("coulomb_friction", body, {"level": level}))
+    logs = logs_of(bench, model.rig)
+    runs = Runs.none_yet(model.rig, logs, balance_of(model.rig, logs).part("held-out"), 1)
+
+    def missed(share):
+        gap = {"half_gap": 0.03 * (1.0 + share)}
+        state = State(model.with_effect(Placed("backlash", "coupling", gap)))
+        return runs.agreement(runs.run(state))["rmse"], runs.missed(state)
+
+    single, expected = np.transpose([missed(k * 1e-8) for k in range(12)])
+    assert np.std(single) > 0.03 * np.mean(single)
+    assert np.std(expected) < 0.75 * np.std(single)
+    smooth = State(model)
+    assert runs.missed(smooth) == runs.agreement(runs.run(smooth))["rmse"]

@@ -106,3 +106,47 @@ def test_an_effect_is_added_to_a_model_by_name():
         close_loop(model, Loop(1.0, 1.0, limit=1.0), 1e-3 * np.arange(10), np.zeros(10))
     with pytest.raises(RigError, match="no effect 'coging'; did you mean 'cogging'?"):
         bare.with_effect("coging", cosine=0.01)
+
+
+SLIDE = RIG.replace('[body.load]\ninertia = "0.01 kg m^2"', '[body.load]\nmass = "2 kg"').replace(
+    "[mesh.gear]", "[shaft.gear]"
+).replace("ratio = 10", 'lead = "10 mm"').replace("u_Nm", 'u"\nunit = "percent').replace(
+    "q_rad", "q_m"
+)  # fmt: skip
+
+
+def test_what_goes_with_a_turn_is_no_effect_of_a_slide():
+    text = SLIDE.format(stiffness="40 N m/rad") + '[effect.unbalance]\non = "load"\ncosine = 1'
+    with pytest.raises(RigError, match="goes with a turn, and load slides"):
+        RigModel(parse_rig(text))
+
+
+def test_a_size_is_asked_for_in_the_unit_of_the_input():
+    text = SLIDE.format(stiffness="40 N m/rad") + '[effect.drive_offset]\non = "u"'
+    with pytest.raises(RigError, match=r"give offset \[percent\]"):
+        RigModel(parse_rig(text))
+
+
+def test_a_gain_of_a_share_says_per_what():
+    """As a number and with its unit it is the same; without the percent it could be either."""
+    gains = ("0.02", '"0.02 N m/percent"')
+    texts = [SLIDE.format(stiffness="40 N m/rad").replace(
+        'body = "motor"\n[sensor', f'body = "motor"\ngain = {gain}\n[sensor') for gain in (
+        *gains, '"0.02 N m"')]  # fmt: skip
+    values = [parse_rig(text).inputs[0].gain.value for text in texts[:2]]
+    assert values[0] == pytest.approx(values[1], rel=1e-12)
+    with pytest.raises(RigError, match="per what"):
+        parse_rig(texts[2])
+
+
+def test_a_prediction_needs_every_value(tmp_path, capsys):
+    text = RIG.format(stiffness="40 N m/rad").replace('"0.01 kg m^2"', '"unknown"')
+    (tmp_path / "rig.toml").write_text(text, encoding="utf-8")
+    rows = "".join(f"{0.01 * k:.2f},0.1,0\n" for k in range(200))
+    (tmp_path / "log.csv").write_text("time_s,u_Nm,q_rad\n" + rows, encoding="utf-8")
+    paths = [str(tmp_path / name) for name in ("log.csv", "rig.toml", "pred.csv")]
+    assert main(["predict", paths[0], "--model", paths[1], "--out", paths[2]]) == 2
+    said = capsys.readouterr().err
+    assert "body.load.inertia is declared unknown" in said
+    assert "report it" not in said
+    assert not (tmp_path / "pred.csv").exists()

@@ -100,7 +100,7 @@ def test_nothing_but_stray_files_is_one_sentence(tmp_path, capsys):
     assert main([*arguments, "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert "and 11 more files are no logs" in said
+    assert "nor can 11 more of the files be used" in said
     assert not (tmp_path / "out").exists()
 
 

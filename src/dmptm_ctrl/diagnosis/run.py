@@ -94,7 +94,10 @@ def predict_file(
     given = inputs_of(read, log)
     if told is not None:
         told += given.warnings
-    table = prediction(read, given, 1 if single else RUNS)
+    try:
+        table = prediction(read, given, 1 if single else RUNS)
+    except ValueError as error:  # a rig file in which something is unknown
+        raise LogError(f"{model.name}: {error}") from None
     _refuse_runaway(table, model.name, measured(read, given))
     return _csv(table)
 

@@ -296,6 +296,8 @@ class _Reader(TableReader):
                 )  # fmt: skip
             gain = Quantity(value, per, tolerance, constant.source)
         elif "gain" in t:
+            if symbol == "%" and isinstance(t["gain"], str) and "/" not in t["gain"]:
+                t.fail("gain", f"gain {t['gain']!r} is per what? Write it per percent: … {per}")
             gain = t.read("gain", t["gain"], per, exact=True, positive=False)
         elif symbol == body.force_unit:
             gain = Quantity(1.0, "", 0.0, "the column is the torque or force itself")

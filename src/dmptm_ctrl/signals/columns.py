@@ -196,7 +196,7 @@ def _other_unit(target: Column, stated: str) -> str:
             f"is in {stated} by the file; the unit that you give is {ratio:.6g} times that, and "
             "is taken"
         )
-    return f"is in {stated} by the file, and taken in {used.symbol or 'no unit'} as you say"
+    return f"is in {stated} by the file, and taken in {target.unit or 'no unit'} as you say"
 
 
 def _mapped(column: str, target: Column, source: str) -> Target:

@@ -236,7 +236,9 @@ def gather(
                     first = first or error
                     left_out.append(f"{LEFT_OUT}{error}")
     if not logs and first is not None:
-        more = f", and {len(left_out) - 1} more files are no logs" if len(left_out) > 1 else ""
+        more = (
+            f"; nor can {len(left_out) - 1} more of the files be used" if len(left_out) > 1 else ""
+        )
         raise NotALogError(f"{first}{more}")
     return tuple(logs), left_out
 

@@ -230,8 +230,13 @@ def place_of(rig: Rig, declared: DeclaredEffect) -> str:
     softened = any(e.name == _SHAFT.name and e.on == on for e in rig.effects)
     if chain.place == "link" and on in {link.name for link in rigid} and not softened:
         fail("on", f"{name} on {on}, which is rigid; give it a stiffness")
+    if chain.place == "body" and rig.body(on).linear and chain.effect.wave and "order" not in has:
+        fail("on", f"{name} goes with a turn, and {on} slides; a constant load is drive_offset")
     if not any(p in declared.values for p in chain.amplitudes):
-        fail("", f"{name} has no size, so it does nothing; give {_listed(chain, chain.amplitudes)}")
+        sizes = _listed(chain, chain.amplitudes)
+        for source in (i for i in rig.inputs if i.name == on):
+            sizes = sizes.replace("[V]", f"[{source.unit}]")
+        fail("", f"{name} has no size, so it does nothing; give {sizes}")
     return on
 
 

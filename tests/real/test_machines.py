@@ -151,23 +151,15 @@ def test_bldc_cogs_and_rubs_alike_both_ways():
     assert 0.14 < p["amplitude"]["value"] < 0.23  # A; 0.17 to 0.23 by the README
 
 
-def test_bldc_by_a_sine_of_current_its_second_half_held_out():
+def test_bldc_by_a_sine_of_current_its_second_half_held_out(tmp_path):
     """Teeth of the magnets pass the balance at reversals only, and are no vibration."""
     text = (RIGS / "bldc_cogging.toml").read_text(encoding="utf-8")
     rig = parse_rig(text + 'held_out = ["second"]\n', "rig.toml")
-    (log,) = [x for x in rig.read(REAL / "bldc_cogging") if x.name == "acc_current"]
-    half = len(log) // 2
-    parts = {"first": slice(0, half), "second": slice(half, None)}
-    logs = [
-        replace(
-            log,
-            name=name,
-            time=log.time[own],
-            channels={k: v[own] for k, v in log.channels.items()},
-        )
-        for name, own in parts.items()
-    ]
-    found = diagnose_rig(logs, rig)
+    lines = (REAL / "bldc_cogging" / "acc_current.txt").read_text().splitlines(keepends=True)
+    half = 1 + len(lines) // 2
+    for name, rows in (("first", lines[1:half]), ("second", lines[half:])):
+        (tmp_path / f"{name}.txt").write_text("".join([lines[0], *rows]), encoding="utf-8")
+    found = diagnose_rig(tmp_path, rig)
     assert {"coulomb_friction", "cogging"} <= set(names(found))
     assert not {"base_vibration", "drive_delay", "current_lag"} & set(names(found))
     p = next(e for e in found.effects if e.name == "cogging").parameters

@@ -123,7 +123,7 @@ def test_what_goes_with_a_turn_is_no_effect_of_a_slide():
 
 def test_a_size_is_asked_for_in_the_unit_of_the_input():
     text = SLIDE.format(stiffness="40 N m/rad") + '[effect.drive_offset]\non = "u"'
-    with pytest.raises(RigError, match=r"give offset \[percent\]"):
+    with pytest.raises(RigError, match=r"give offset \[%\]"):
         RigModel(parse_rig(text))
 
 
@@ -150,3 +150,12 @@ def test_a_prediction_needs_every_value(tmp_path, capsys):
     assert "body.load.inertia is declared unknown" in said
     assert "report it" not in said
     assert not (tmp_path / "pred.csv").exists()
+
+
+@pytest.mark.parametrize("gain", ['"unknown"', '"2e-2"', '"0.02 N m/%"'])
+def test_a_gain_of_a_share_may_be_unknown_or_a_number(gain):
+    text = SLIDE.format(stiffness="40 N m/rad").replace(
+        'body = "motor"\n[sensor', f'body = "motor"\ngain = {gain}\n[sensor'
+    )
+    value = parse_rig(text).inputs[0].gain.value
+    assert np.isnan(value) if "unknown" in gain else value == pytest.approx(0.02, rel=1e-12)

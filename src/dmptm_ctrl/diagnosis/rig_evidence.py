@@ -69,7 +69,8 @@ class RigEvidence:
     held: Balance
     jobs: int = 2
     read: Sequence[Log] = ()
-    idle: set[str] = field(default_factory=set)  # springs and gaps that were not asked for
+    # springs and gaps that the last look at them did not ask for
+    idle: set[str] = field(default_factory=set, init=False)
 
     def base(self, start: State) -> RigState:
         """Fit the declared model, from rough values."""
@@ -121,10 +122,10 @@ class RigEvidence:
                 rough.append(replace(weaker, gain=trial.gain, objection="others explain more"))
                 continue
             one = self._first_order(state, trial)
-            able = one.acceptable and one.evidence >= best()
-            (judged if able else rough).append(
-                self._fitted(state, (trial,), FIRST) if able else one
-            )
+            if one.acceptable and one.evidence >= best():
+                judged.append(self._fitted(state, (trial,), FIRST))
+            else:
+                rough.append(one)
         if best() == 0.0 and self.idle:
             judged += self._structures(state, only={*self.idle})
         return [*judged, *ranked(rough)]

@@ -311,7 +311,7 @@ def effect_parameters(effect: Placed, fit: RigFit) -> dict[str, dict[str, Any]]:
             unit = unit.replace("N·m", "N").replace("rad", "m")
         if p.name == "order":
             unit, scale = ("1/m", 1 / (2 * pi)) if slide else ("1/turn", 1.0)
-        unit = unit_at(effect, model.rig, unit)
+        unit = unit_at(effect.on, model.rig, unit)
         error = se.get(p.name, 0.0)
         unit = counted_unit(model.rig, unit)
         found[p.name] = {"value": value * scale, "se": error * scale, "unit": unit}

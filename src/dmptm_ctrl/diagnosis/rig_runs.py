@@ -116,26 +116,28 @@ class Runs:
         return done if all(np.isfinite(run).all() for run in done) else None
 
     def expected(self, state: State) -> list[Floats] | None:
-        """Return the mean of runs with slightly other teeth; the run where there is no gap.
+        """Return the mean of runs with slightly other teeth; the run where no link has a gap.
 
-        After impacts each of them is chance, down to the last digit of the arithmetic.
+        After impacts each of them is chance, down to the last digit of the arithmetic. A gap in a
+        spring that was added to the declared model has one run.
         """
-        model = state.model.opened
+        model, own = state.model.opened, self.run(state)
         gaps = zip(model.layout.links, model.plant().link_gap, strict=True)
-        toothed = [name for name, gap in gaps if gap > 0]
-        if not toothed:
-            return self.run(state)
-        keys = [f"link.{n}.{part}" for n in toothed for part in ("stiffness", "damping")]
+        keys = [
+            f"link.{n}.{part}" for n, gap in gaps if gap > 0 for part in ("stiffness", "damping")
+        ]
         keys = [key for key in keys if key in model.quantities]
-        rng, several = np.random.default_rng(0), [self.run(state)]
+        if own is None or not keys:
+            return own
+        rng, several = np.random.default_rng(0), [own]
         for _ in range(TWINS):
             shares = 1.0 + SPREAD * rng.standard_normal(len(keys))
             values = {k: s * model.value(k) for k, s in zip(keys, shares, strict=True)}
-            several.append(self.run(replace(state, model=model.with_values(values))))
-        done = [runs for runs in several if runs is not None]
-        if len(done) < len(several):
-            return several[0]
-        return [np.mean(parts, axis=0) for parts in zip(*done, strict=True)]
+            other = self.run(replace(state, model=model.with_values(values)))
+            if other is None:
+                return own
+            several.append(other)
+        return [np.mean(parts, axis=0) for parts in zip(*several, strict=True)]
 
     def reading(self, state: State, log: Log) -> Floats:
         """What the sensor would have read of a model, (n,), SI."""

@@ -7,10 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from dmptm_ctrl.diagnosis.budget import NONE, near
-from dmptm_ctrl.diagnosis.candidate import (
-    members,
-    name_of,
-)
+from dmptm_ctrl.diagnosis.candidate import members, name_of
 from dmptm_ctrl.diagnosis.impedance import effort, loudness
 from dmptm_ctrl.diagnosis.rig_candidates import trials
 from dmptm_ctrl.diagnosis.rig_curves import columns_of, mean_square, torques_of, variables_of
@@ -20,10 +17,7 @@ from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.compared_signals import correlation_length
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.rig_fit import (
-    RigFit,
-    residuals,
-)
+from dmptm_ctrl.identify.rig_fit import RigFit, residuals
 from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.simulate.model import Floats
 

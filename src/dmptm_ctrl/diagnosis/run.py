@@ -20,6 +20,7 @@ from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.signals import Campaign, LogError, load_logs
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.model_file import read_model
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 RUNAWAY = 1e3  # times the motion of a log; a model that misses so predicts nothing
 SPEED_FORMAT = "%.7g"  # finer than any sensor here
@@ -94,10 +95,12 @@ def predict_file(
     given = inputs_of(read, log)
     if told is not None:
         told += given.warnings
-    try:
-        table = prediction(read, given, 1 if single else RUNS)
-    except ValueError as error:  # a rig file in which something is unknown
-        raise LogError(f"{model.name}: {error}") from None
+    if isinstance(read, RigModel):
+        try:
+            read.plant()
+        except ValueError as error:  # something is unknown
+            raise LogError(f"{model.name}: {error}") from None
+    table = prediction(read, given, 1 if single else RUNS)
     _refuse_runaway(table, model.name, measured(read, given))
     return _csv(table)
 

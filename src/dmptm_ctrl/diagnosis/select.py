@@ -139,9 +139,10 @@ def select_effects(
             f"+ {', '.join(chosen.keys)}: {chosen.gain:.0f} fitted, {chosen.held_gain:.0f} held out"
         )
         state = pruned(evidence, grown, step)
-        alone = len(chosen.keys) > 1 >= len({*chosen.keys} & {*state.keys})  # no set was needed
-        known = alone or frozenset(state.keys) in seen
-        if known or vain_exchange(evidence, grown, state, chosen.keys):
+        kept = {*chosen.keys} & {*state.keys}
+        needless = len(chosen.keys) > 1 and len(kept) <= 1  # one of a set: no set was needed
+        known = frozenset(state.keys) in seen
+        if needless or known or vain_exchange(evidence, grown, state, chosen.keys):
             vain.add(chosen.keys)
             state = before
         seen.add(frozenset(state.keys))
@@ -179,9 +180,10 @@ def likely_sets(
     `single` one. What goes well with that is found beside it. Where effects were found and no more
     is, what is impossible beside them is so in a set.
     """
-    last, hidden = state.keys and single is None, ("", NO_DIFFERENCE)
     finite = [c for c in candidates if np.isfinite(c.gain)]
-    by_keys = {c.keys: c for c in finite if not last or c.objection in hidden}
+    if state.keys and single is None:
+        finite = [c for c in finite if c.objection in ("", NO_DIFFERENCE)]
+    by_keys = {c.keys: c for c in finite}
     joint = JointGain(evidence.rows(state, list(by_keys.values())))
     gain = joint.bounded
     others = [keys for keys in by_keys if single is None or not overlap((*keys, *single.keys))]

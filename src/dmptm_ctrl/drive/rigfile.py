@@ -296,9 +296,10 @@ class _Reader(TableReader):
                 )  # fmt: skip
             gain = Quantity(value, per, tolerance, constant.source)
         elif "gain" in t:
-            if symbol == "%" and isinstance(t["gain"], str) and "/" not in t["gain"]:
-                t.fail("gain", f"gain {t['gain']!r} is per what? Write it per percent: … {per}")
             gain = t.read("gain", t["gain"], per, exact=True, positive=False)
+            text = _gain_text(t)
+            if symbol == "%" and is_known(gain) and "N" in text and "/" not in text:
+                t.fail("gain", f"gain {text.strip()!r} is per what? Write it per percent: … {per}")
         elif symbol == body.force_unit:
             gain = Quantity(1.0, "", 0.0, "the column is the torque or force itself")
         else:
@@ -467,13 +468,19 @@ def _one_body(t: Table, bodies: Mapping[str, Body]) -> Body:
     return bodies[name]
 
 
+def _gain_text(t: Mapping[str, Any]) -> str:
+    """Value and unit of an amplifier or a gain, as written."""
+    gain: Any = t.get("amplifier", t.get("gain", ""))
+    return (
+        f"{gain.get('value', '')} {gain.get('unit', '')}" if isinstance(gain, dict) else str(gain)
+    )
+
+
 def _gain_unit(t: Mapping[str, Any]) -> str | None:
     """Unit of the signal from what the gain is per: "35 N/V" → V."""
     if "resistance" in t:
         return "V"
-    gain: Any = t.get("amplifier", t.get("gain", ""))
-    text = f"{gain.get('value', '')} {gain.get('unit', '')}" if isinstance(gain, dict) else gain
-    match = re.search(r"/\s*(\w+)", text) if isinstance(text, str) else None
+    match = re.search(r"/\s*(\w+)", _gain_text(t))
     if match is not None and match[1] not in ("rad", "deg", "s"):
         return match[1]
     return "A" if "torque_constant" in t and "amplifier" not in t else None

@@ -49,11 +49,11 @@ def with_unit(value: float, unit: str) -> tomlkit.items.Item:
     return item
 
 
-def unit_at(effect: Placed, rig: Rig, unit: str) -> str:
+def unit_at(on: str, rig: Rig, unit: str) -> str:
     """Unit of an effect's parameter where it stands: an input's signal need not be a voltage."""
-    if all(source.name != effect.on for source in rig.inputs):
+    if all(source.name != on for source in rig.inputs):
         return unit
-    symbol = input_symbol(rig, effect.on)
+    symbol = input_symbol(rig, on)
     return unit.replace("V", f"({symbol})" if unit == "1/V" and "·" in symbol else symbol)
 
 
@@ -81,7 +81,7 @@ def rig_model_to_toml(model: RigModel) -> str:
             table["far"] = list(effect.far)
         units = {p.name: p.unit for p in PLACED_CATALOGUE[effect.name].keep}
         for key, value in effect.values.items():
-            table[key] = with_unit(value, unit_at(effect, model.rig, units[key]))
+            table[key] = with_unit(value, unit_at(effect.on, model.rig, units[key]))
         effects.append(table)
     document["effect"] = effects
     logs = tomlkit.table()

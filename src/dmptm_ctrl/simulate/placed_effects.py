@@ -233,10 +233,12 @@ def place_of(rig: Rig, declared: DeclaredEffect) -> str:
     if chain.place == "body" and rig.body(on).linear and chain.effect.wave and "order" not in has:
         fail("on", f"{name} goes with a turn, and {on} slides; a constant load is drive_offset")
     if not any(p in declared.values for p in chain.amplitudes):
-        sizes = _listed(chain, chain.amplitudes)
-        for source in (i for i in rig.inputs if i.name == on):
-            sizes = sizes.replace("[V]", f"[{source.unit}]")
-        fail("", f"{name} has no size, so it does nothing; give {sizes}")
+        from dmptm_ctrl.simulate.model_file import unit_at
+
+        there = chain._replace(
+            keep=tuple(p._replace(unit=unit_at(on, rig, p.unit)) for p in chain.keep)
+        )
+        fail("", f"{name} has no size, so it does nothing; give {_listed(there, there.amplitudes)}")
     return on
 
 

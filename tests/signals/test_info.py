@@ -52,6 +52,27 @@ def test_resolution_is_the_encoders():
     assert describe(log).channels[1].resolution == pytest.approx(360 / 2**12, rel=1e-9)
 
 
+@pytest.mark.parametrize("counts", [3.4, 34.1])
+def test_resolution_of_a_ramp_that_never_moves_by_one_count(counts):
+    step = 2 * np.pi / 8192
+    angle = step * np.round(counts * np.arange(5000))
+    log = Log("run", TIME, {"x": angle}, units={"x": "rad"})
+    assert describe(log).channels[0].resolution == pytest.approx(360 / 8192, rel=1e-6)
+
+
+def test_resolution_of_counts_rounded_as_decimals():
+    step = 360 / 8192
+    angle = np.radians(np.round(step * np.round(30 * np.sin(6 * TIME) / step), 4))
+    log = Log("run", TIME, {"x": angle}, units={"x": "rad"})
+    assert describe(log).channels[0].resolution == pytest.approx(step, rel=1e-3)
+
+
+def test_resolution_of_values_without_a_grid_is_their_smallest_difference():
+    values = np.sort(np.random.default_rng(0).normal(size=5000))
+    log = Log("run", TIME, {"x": values}, units={"x": "V"})
+    assert describe(log).channels[0].resolution == np.diff(values).min()
+
+
 @pytest.mark.parametrize(("unit", "channel"), [("m", "q"), ("rad", "shaft"), ("m/s", "v")])
 def test_any_drive(unit, channel):
     motion = np.sin(TIME)

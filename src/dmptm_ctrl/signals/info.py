@@ -10,6 +10,7 @@ import numpy as np
 from dmptm_ctrl.signals.checks import MIN_SAMPLES
 from dmptm_ctrl.signals.clock import seconds_of
 from dmptm_ctrl.signals.columns import TIMES, Table
+from dmptm_ctrl.signals.counters import GRID
 from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.loaders import digest_of, log_of, numbers_or_times, read_table, stem
 from dmptm_ctrl.signals.log import Array, Log
@@ -19,6 +20,7 @@ NO_UNIT = ("", "1", "-")  # of a number
 INPUT_UNITS = ("V", "A", "N·m", "N", "%")
 DECLARED = "the rig file declares it: it is fitted, not looked for"
 REST_SHARE = 0.02  # of the greatest speed; slower is at rest
+ROUNDING = 4e-15  # of a value; conversion to SI and back leaves less between equal readings
 SMOOTH = 0.02  # s, moving average before counting reversals: longer than gyro noise lives
 
 
@@ -30,7 +32,7 @@ class ChannelInfo:
     low: float
     high: float
     rms: float
-    resolution: float  # smallest step that occurs
+    resolution: float  # grid of its values; of one without a grid the smallest difference
 
 
 @dataclass(frozen=True)
@@ -122,13 +124,34 @@ def _with_unit(name: str, unit: str) -> str:
 
 
 def _figures(column: str, values: Array) -> ChannelInfo:
-    steps = np.abs(np.diff(values))
-    # Conversion to SI and back leaves steps of 1e-16 of the value between equal readings.
-    real = steps[steps > 1e-12 * max(1.0, float(np.abs(values).max()))]
-    resolution = float(real.min()) if real.size else 0.0
     top = float(np.abs(values).max())
     rms = top * float(np.sqrt(np.mean(np.square(values / top)))) if top else 0.0  # no overflow
-    return ChannelInfo(column, float(values.min()), float(values.max()), rms, resolution)
+    return ChannelInfo(column, float(values.min()), float(values.max()), rms, _resolution(values))
+
+
+def _resolution(values: Array) -> float:
+    """Step of which all differences of values are multiples; else the smallest difference."""
+    noise = ROUNDING * float(np.abs(values).max())
+    levels = np.unique(values)
+    steps = np.unique(np.diff(levels))
+    steps = steps[steps > noise]
+    size = smallest = float(steps.min()) if steps.size else 0.0
+    away = levels[levels > levels[0] + size / 2] - levels[0]
+    for far in away[np.unique(np.geomspace(1, away.size, 300).astype(int)) - 1] if size else ():
+        times = round(far / size)
+        if abs(far - times * size) > GRID * size:
+            break
+        size = float(far / times)  # those far away tell it better, also of rounded decimals
+    else:
+        return size
+    size = smallest
+    while size and (unsure := noise * (1 + steps / size)).max() < GRID * size:
+        rest = np.abs(steps - size * np.round(steps / size))
+        rest = rest[rest > unsure]
+        if not rest.size:
+            return size
+        size = float(rest.min())  # as Euclid does
+    return smallest
 
 
 def _excitation(log: Log, inputs: Collection[str] | None) -> Excitation | None:

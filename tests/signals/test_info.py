@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl import Log
-from dmptm_ctrl.signals.info import NEEDS, describe
+from dmptm_ctrl.signals.info import NEEDS, describe, describe_file
 
 TIME = np.arange(5000) * 1e-3
 
@@ -104,3 +104,18 @@ def test_goes_to_json():
     again = json.loads(json.dumps(describe(log).to_dict()))
     assert again["samples"] == 5000
     assert len(again["testable"]) == len(NEEDS)
+
+
+def file_of(folder, header, *columns):
+    """Path of a table of texts or numbers."""
+    rows = "".join(",".join(map(str, row)) + "\n" for row in zip(*columns, strict=True))
+    (folder / "run.csv").write_text(f"{header}\n{rows}")
+    return folder / "run.csv"
+
+
+def test_columns_of_text_are_named(tmp_path):
+    states = np.where(np.sin(TIME) > 0, "RUN", "IDLE")
+    path = file_of(tmp_path, "time_s,x_deg,state,empty", TIME, np.sin(TIME), states, [""] * 5000)
+    info = describe_file(path)
+    assert [c.column for c in info.channels] == ["time_s", "x_deg"]
+    assert info.warnings == ("left out 'state': no column of numbers",)

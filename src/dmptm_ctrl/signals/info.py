@@ -9,7 +9,7 @@ import numpy as np
 
 from dmptm_ctrl.signals.checks import MIN_SAMPLES
 from dmptm_ctrl.signals.clock import seconds_of
-from dmptm_ctrl.signals.columns import TIMES, Table
+from dmptm_ctrl.signals.columns import TIMES, Table, listed
 from dmptm_ctrl.signals.counters import GRID
 from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.loaders import digest_of, log_of, numbers_or_times, read_table, stem
@@ -274,21 +274,21 @@ def _testable(
 
 def describe_file(path: Path) -> LogInfo:
     """Say what is in a file without a rig: all its columns as they are, and what a log can tell."""
-    columns, table = _columns_of(path)
+    columns, table, left_out = _columns_of(path)
     samples = max((len(values) for values in table.columns.values()), default=0)
     try:
         info = describe(log_of(table, path.name, digest_of(path), {}, stem(path.name)))
     except LogError as error:
         if samples < MIN_SAMPLES or not columns:
             raise
-        notes = (*table.notes, str(error))
+        notes = (*table.notes, *left_out, str(error))
         return LogInfo(path.name, samples, 0.0, 0.0, None, columns, None, (), notes)
     told = tuple(w for w in info.warnings if "no known unit" not in w)
-    return replace(info, channels=columns, warnings=told)
+    return replace(info, channels=columns, warnings=(*told, *left_out))
 
 
-def _columns_of(path: Path) -> tuple[tuple[ChannelInfo, ...], Table]:
-    """Columns of numbers of any readable file, whatever they are called."""
+def _columns_of(path: Path) -> tuple[tuple[ChannelInfo, ...], Table, list[str]]:
+    """Columns of numbers of any readable file, whatever they are called; and what is left out."""
     stated: dict[str, str] = {}
 
     def choose(names: list[str], units: Mapping[str, str]) -> list[str]:
@@ -296,13 +296,14 @@ def _columns_of(path: Path) -> tuple[tuple[ChannelInfo, ...], Table]:
         return names
 
     table = read_table(path, choose)
-    found = []
+    found, words = [], []
     for name, values in table.columns.items():
         try:
             column = np.asarray(values)
             if column.dtype.kind not in "mMiub":
                 column = numbers_or_times(column, name, path.name)
         except LogError:
+            words.append(name)
             continue
         if dated := column.dtype.kind in "mM":
             column, _ = seconds_of(column, 1.0)
@@ -310,4 +311,5 @@ def _columns_of(path: Path) -> tuple[tuple[ChannelInfo, ...], Table]:
         if good.size and not (dated and np.ptp(good) == 0.0):  # a date beside the time of day
             unit = "s" if stated.get(name) == TIMES else stated.get(name, "")
             found.append(_figures(_with_unit(name, unit), good))
-    return tuple(found), table
+    left_out = [f"left out {listed(words)}: no column of numbers"] if words else []
+    return tuple(found), table, left_out

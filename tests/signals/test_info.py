@@ -119,3 +119,15 @@ def test_columns_of_text_are_named(tmp_path):
     info = describe_file(path)
     assert [c.column for c in info.channels] == ["time_s", "x_deg"]
     assert info.warnings == ("left out 'state': no column of numbers",)
+
+
+@pytest.mark.parametrize(
+    ("clock", "start", "per_second"),
+    [("t [ticks]", 0, 1e7), ("t [100ns]", 133_800_000_000_000_000, 1e7), ("t", 1.7e18, 1e9)],
+)
+def test_a_clock_in_ticks_is_shown_in_seconds(tmp_path, clock, start, per_second):
+    counts = [int(start) + round(per_second * t) for t in TIME]
+    channel = describe_file(file_of(tmp_path, f"{clock},x_deg", counts, np.sin(TIME))).channels[0]
+    assert (channel.column, channel.low) == ("t [s]", 0.0)
+    assert channel.high == pytest.approx(TIME[-1], rel=1e-6)
+    assert channel.resolution == pytest.approx(1e-3, rel=1e-2)

@@ -9,12 +9,12 @@ import numpy as np
 
 from dmptm_ctrl.signals.checks import MIN_SAMPLES
 from dmptm_ctrl.signals.clock import seconds_of
-from dmptm_ctrl.signals.columns import TIMES, Table, listed
+from dmptm_ctrl.signals.columns import CLOCKS, TIMES, Table, listed
 from dmptm_ctrl.signals.counters import GRID
 from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.loaders import digest_of, log_of, numbers_or_times, read_table, stem
 from dmptm_ctrl.signals.log import Array, Log
-from dmptm_ctrl.signals.units import door_column, named_unit, parse_unit
+from dmptm_ctrl.signals.units import TICKS, door_column, named_unit, parse_unit
 
 NO_UNIT = ("", "1", "-")  # of a number
 INPUT_UNITS = ("V", "A", "N·m", "N", "%")
@@ -310,6 +310,17 @@ def _columns_of(path: Path) -> tuple[tuple[ChannelInfo, ...], Table, list[str]]:
         good = column[np.isfinite(column)].astype(np.float64)
         if good.size and not (dated and np.ptp(good) == 0.0):  # a date beside the time of day
             unit = "s" if stated.get(name) == TIMES else stated.get(name, "")
-            found.append(_figures(_with_unit(name, unit), good))
+            found.append(_figures(*_in_seconds(name, unit, good)))
     left_out = [f"left out {listed(words)}: no column of numbers"] if words else []
     return tuple(found), table, left_out
+
+
+def _in_seconds(name: str, unit: str, values: Array) -> tuple[str, Array]:
+    """Name with its unit, and values; of a clock in ticks or since an epoch from its first row."""
+    own = unit or named_unit(name)[1]
+    counts = own.lower() in TICKS
+    if counts or (not own and name != "T" and name.lower() in CLOCKS):
+        seconds, note = seconds_of(values, parse_unit(own).factor)
+        if counts or note:
+            return f"{named_unit(name)[0]} [s]", seconds - seconds[0]
+    return _with_unit(name, unit), values

@@ -131,3 +131,11 @@ def test_a_clock_in_ticks_is_shown_in_seconds(tmp_path, clock, start, per_second
     assert (channel.column, channel.low) == ("t [s]", 0.0)
     assert channel.high == pytest.approx(TIME[-1], rel=1e-6)
     assert channel.resolution == pytest.approx(1e-3, rel=1e-2)
+
+
+@pytest.mark.parametrize("name", ["enc [counts]", "enc_counts"])
+def test_a_counter_that_runs_over_is_told(tmp_path, name):
+    counts = np.floor(4000 * np.sin(TIME) + 5000 * TIME).astype(int) % 4096
+    info = describe_file(file_of(tmp_path, f"time_s,{name}", TIME, counts))
+    wrap = f"{name} is a 12 bit counter that ran over, 5 times; as a position it is unwrapped"
+    assert wrap in info.warnings

@@ -10,11 +10,11 @@ import numpy as np
 from dmptm_ctrl.signals.checks import MIN_SAMPLES
 from dmptm_ctrl.signals.clock import seconds_of
 from dmptm_ctrl.signals.columns import CLOCKS, TIMES, Table, listed
-from dmptm_ctrl.signals.counters import GRID
+from dmptm_ctrl.signals.counters import GRID, unwrapped_counts
 from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.loaders import digest_of, log_of, numbers_or_times, read_table, stem
 from dmptm_ctrl.signals.log import Array, Log
-from dmptm_ctrl.signals.units import TICKS, door_column, named_unit, parse_unit
+from dmptm_ctrl.signals.units import COUNTS, TICKS, door_column, named_unit, parse_unit
 
 NO_UNIT = ("", "1", "-")  # of a number
 INPUT_UNITS = ("V", "A", "N·m", "N", "%")
@@ -274,21 +274,21 @@ def _testable(
 
 def describe_file(path: Path) -> LogInfo:
     """Say what is in a file without a rig: all its columns as they are, and what a log can tell."""
-    columns, table, left_out = _columns_of(path)
+    columns, table, more = _columns_of(path)
     samples = max((len(values) for values in table.columns.values()), default=0)
     try:
         info = describe(log_of(table, path.name, digest_of(path), {}, stem(path.name)))
     except LogError as error:
         if samples < MIN_SAMPLES or not columns:
             raise
-        notes = (*table.notes, *left_out, str(error))
+        notes = (*table.notes, *more, str(error))
         return LogInfo(path.name, samples, 0.0, 0.0, None, columns, None, (), notes)
     told = tuple(w for w in info.warnings if "no known unit" not in w)
-    return replace(info, channels=columns, warnings=(*told, *left_out))
+    return replace(info, channels=columns, warnings=(*told, *more))
 
 
 def _columns_of(path: Path) -> tuple[tuple[ChannelInfo, ...], Table, list[str]]:
-    """Columns of numbers of any readable file, whatever they are called; and what is left out."""
+    """Columns of numbers of any readable file, and what to know of them."""
     stated: dict[str, str] = {}
 
     def choose(names: list[str], units: Mapping[str, str]) -> list[str]:
@@ -296,7 +296,7 @@ def _columns_of(path: Path) -> tuple[tuple[ChannelInfo, ...], Table, list[str]]:
         return names
 
     table = read_table(path, choose)
-    found, words = [], []
+    found, words, wraps = [], [], []
     for name, values in table.columns.items():
         try:
             column = np.asarray(values)
@@ -311,8 +311,12 @@ def _columns_of(path: Path) -> tuple[tuple[ChannelInfo, ...], Table, list[str]]:
         if good.size and not (dated and np.ptp(good) == 0.0):  # a date beside the time of day
             unit = "s" if stated.get(name) == TIMES else stated.get(name, "")
             found.append(_figures(*_in_seconds(name, unit, good)))
+            if (unit or named_unit(name)[1] or name.rpartition("_")[2]).lower() in COUNTS:
+                wraps.append(
+                    unwrapped_counts(name, good)[1].replace(": unw", "; as a position it is unw")
+                )
     left_out = [f"left out {listed(words)}: no column of numbers"] if words else []
-    return tuple(found), table, left_out
+    return tuple(found), table, [*filter(None, wraps), *left_out]
 
 
 def _in_seconds(name: str, unit: str, values: Array) -> tuple[str, Array]:

@@ -57,9 +57,21 @@ def test_log_info(capsys):
     assert err == ""
     assert "open_multisine_preload: 10000 samples, 9.999 s at 1000 Hz" in out
     assert "theta_ml_deg" in out
+    assert "those of the dual-motor drive; so are these effects" in out
     told, untold = out.split("Cannot tell about")
     assert "torque_constant_mismatch" in told
     assert "thermal_drift" in untold
+
+
+def test_log_info_of_another_drive_names_no_effects(tmp_path, capsys):
+    time = 1e-3 * np.arange(3000)
+    rows = "".join(f"{t:.3f},{np.cos(6 * t):.4f},{np.sin(6 * t):.4f}\n" for t in time)
+    (tmp_path / "axis.csv").write_text(f"time_s,current_A,speed_rpm\n{rows}")
+    assert main(["log", "info", str(tmp_path / "axis.csv")]) == 0
+    out = capsys.readouterr().out
+    assert "an tell about" not in out
+    assert "99 % of the input's power lie below" in out
+    assert "give its rig file with --rig" in out
 
 
 def test_log_info_tells_of_effects_that_the_rig_has_a_place_for(capsys):

@@ -349,7 +349,7 @@ def log_info(
     if as_json:
         print(json.dumps(info.to_dict(), indent=2, ensure_ascii=False))
     else:
-        show_info(info)
+        show_info(info, declared=rig is not None)
 
 
 @rig_app.command("check")

@@ -66,8 +66,8 @@ class Progress:
             print(line, file=sys.stderr, flush=True)  # noqa: T201
 
 
-def show_info(info: "LogInfo") -> None:
-    """Print what is in a log, and what it can and cannot tell."""
+def show_info(info: "LogInfo", *, declared: bool = True) -> None:
+    """Print what is in a log, and what it can and cannot tell; `declared`: by a rig file."""
     from rich.console import Console
     from rich.table import Table
 
@@ -87,6 +87,17 @@ def show_info(info: "LogInfo") -> None:
             "(dmptm rig init writes one)."
         )
         return
+    if not info.testable:
+        excited = info.excitation
+        console.print(
+            f"\n99 % of the input's power lie below {excited.bandwidth:.3g} Hz. The motion "
+            f"reverses {excited.reversals} times and stops {excited.stops} times.\nWhich effects "
+            "a log can show depends on the drive: give its rig file with --rig (dmptm rig init "
+            "writes one)."
+        )
+        return
+    if not declared:
+        console.print("\nThe columns are those of the dual-motor drive; so are these effects.")
     can = [row.effect for row in info.testable if row.testable]
     console.print(f"\n[bold]Can tell about[/bold] {', '.join(can) or 'nothing'}")
     console.print("[bold]Cannot tell about[/bold]")

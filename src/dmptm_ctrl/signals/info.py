@@ -273,11 +273,15 @@ def _testable(
 
 
 def describe_file(path: Path) -> LogInfo:
-    """Say what is in a file without a rig: all its columns as they are, and what a log can tell."""
+    """Say what is in a file without a rig: all its columns as they are, and how it is excited.
+
+    Effects are judged where the columns are those of the dual-motor drive.
+    """
     columns, table, more = _columns_of(path)
     samples = max((len(values) for values in table.columns.values()), default=0)
     try:
-        info = describe(log_of(table, path.name, digest_of(path), {}, stem(path.name)))
+        log = log_of(table, path.name, digest_of(path), {}, stem(path.name))
+        info = describe(log, effects=None if log.has("u_left", "u_right") else ())
     except LogError as error:
         if samples < MIN_SAMPLES or not columns:
             raise

@@ -564,8 +564,9 @@ def test_units_of_the_file_that_contradict(tmp_path):
     (table,) = rig().read(pd.DataFrame({"t": T, "u [mNm]": U, "q [deg]": Q}))
     for warnings, u, q in ((log.warnings, "u", "q"), (table.warnings, "u [mNm]", "q [deg]")):
         one, other = warnings
-        assert f"'{u}' is in mNm by the file; the unit that you give is 1000 times" in one
+        assert f"'{u}' is in mNm by the file, and taken in N m as you say, 1000 times that" in one
         assert f"'{q}' is in deg by the file" in other
+        assert other.endswith("[sensor.q] says the unit")
     assert read(tmp_path, "t,u,q\ns,Nm,rad\n" + rows(",", T, U, Q)).warnings == ()
     # texts that are no units say nothing
     assert read(tmp_path, "t,u,q\nfirst,channel,A\n" + rows(",", T, U, Q)).warnings == ()
@@ -660,6 +661,15 @@ def test_two_clocks(tmp_path):
     info = describe_file(tmp_path / "run.csv")
     assert info.samples == ROWS
     assert info.warnings == ("ignored 'Time [s]': another clock",)
+
+
+def test_a_clock_in_other_ticks_than_the_rig_file_says(tmp_path):
+    text = "t [100ns],u,q\n" + rows(",", np.round(1e7 * T), U, Q)
+    log = read(tmp_path, text, rig(data='time = { column = "t", unit = "us" }'))
+    assert log.warnings[0] == (
+        "column 't [100ns]' is in 100ns by the file, and taken in us as you say, 10 times that; "
+        "time in [data] says the unit"
+    )
 
 
 def test_a_rate_without_a_clock_leaves_the_files_clock_out(tmp_path):
@@ -757,7 +767,8 @@ def test_decimals_that_look_like_thousands_are_decimals(tmp_path):
 def test_counts_against_a_unit_are_told(tmp_path):
     text = table(header=("t", "u", "q")).replace("\n", "\ns,Nm,Ink\n", 1)
     (warning,) = read(tmp_path, text, rig(data="")).warnings
-    assert warning == "column 'q' is in Ink by the file, and taken in rad as you say"
+    said = "column 'q' is in Ink by the file, and taken in rad as you say"
+    assert warning == f"{said}; [sensor.q] says the unit"
 
 
 def test_a_comma_for_everything_is_refused_with_the_reason(tmp_path):

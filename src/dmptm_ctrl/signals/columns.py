@@ -191,12 +191,16 @@ def _other_unit(target: Column, stated: str) -> str:
     ratio = used.factor / unit.factor
     if not unit.symbol or (unit.symbol == used.symbol and abs(ratio - 1) < 1e-3):
         return ""
-    if unit.symbol == used.symbol:
-        return (
-            f"is in {stated} by the file; the unit that you give is {ratio:.6g} times that, and "
-            "is taken"
-        )
-    return f"is in {stated} by the file, and taken in {target.unit or 'no unit'} as you say"
+    taken = f"is in {stated} by the file, and taken in {target.unit or 'no unit'} as you say"
+    times = f", {ratio:.6g} times that" if unit.symbol == used.symbol else ""
+    return f"{taken}{times}; {_where_said(target.channel)} says the unit"
+
+
+def _where_said(channel: str) -> str:
+    """Where a rig file, or else the mapping, says the unit of a channel."""
+    kind, _, name = channel.partition("_")
+    table = {"in": "input", "out": "sensor"}.get(kind)
+    return "time in [data]" if kind == "time" else f"[{table}.{name}]" if table else "the mapping"
 
 
 def _mapped(column: str, target: Column, source: str) -> Target:

@@ -19,7 +19,7 @@ WRITTEN_OUT = {
     "m": "meter", "mm": "millimeter", "um": "micrometer",
     "m_s": "meter / second", "mm_s": "millimeter / second", "m_s2": "meter / second**2",
     "g": "standard_gravity", "Hz": "hertz", "W": "watt", "K": "kelvin",
-    "ns": "nanosecond", "percent": "percent", "permille": "permille",
+    "ns": "nanosecond", "percent": "percent", "pct": "percent", "permille": "permille",
 }  # fmt: skip
 
 
@@ -42,6 +42,7 @@ def test_factor_agrees_with_pint(suffix):
         ("theta_L_deg", "theta_L", "deg"),
         ("u_left_V", "u_left", "V"),
         ("time_s", "time", "s"),
+        ("duty_pct", "duty", "pct"),
         ("x_m_s", "x", "m_s"),
         ("shaft_rad_s2", "shaft", "rad_s2"),
     ],
@@ -67,6 +68,7 @@ def test_column_without_a_unit(column):
         ("rev/min", "rad/s", math.pi / 30),
         ("", "", 1.0),
         ("%", "%", 1.0),
+        ("pct", "%", 1.0),
         ("PWM", "", 1.0),
         ("counts", "", 1.0),
         ("ticks", "s", 1e-7),
@@ -85,6 +87,12 @@ def test_unit_from_an_expression(text, symbol, factor):
 )
 def test_what_is_no_unit_of_a_drive(text):
     with pytest.raises(LogError, match="unit"):
+        parse_unit(text)
+
+
+@pytest.mark.parametrize("text", ["bar", "foo"])
+def test_message_names_units_that_are_no_suffixes(text):
+    with pytest.raises(LogError, match=r"known are s, .*, %, counts, PWM$"):
         parse_unit(text)
 
 

@@ -40,7 +40,7 @@ _TABLE = {  # SI symbol -> column suffixes and their factors
     "Hz": {"Hz": 1.0},
     "W": {"W": 1.0},
     "K": {"K": 1.0},
-    "%": {"percent": 1.0, "permille": 0.1},  # of what, the gain says
+    "%": {"percent": 1.0, "pct": 1.0, "permille": 0.1},  # of what, the gain says
 }  # fmt: skip
 SUFFIXES = {
     suffix: Unit(symbol, factor)
@@ -168,7 +168,7 @@ _RUN_TOGETHER = (  # written without a space, pint reads them as something else
     (r"\bkgcm", "kg*cm"),
     (r"\bgcm", "g*cm"),
     (r"\brevs?\b|\brevolutions?\b", "turn"),
-    (r"%", "percent"),
+    (r"%|\bpct\b", "percent"),
     (r"‰|\b[Pp]romille\b", "permille"),
     (r"\b(?:pwm|PWM|lsb|LSB|digits?|inc|increments?|ticks?)\b", "count"),  # a number, to pint
 )
@@ -213,6 +213,9 @@ def one_of(unit: str) -> Any:
         raise ValueError(unit) from error
 
 
+_KNOWN = ", ".join((*SUFFIXES, "%", "counts", "PWM"))
+
+
 def _parse_with_pint(text: str) -> Unit:
     try:
         quantity = one_of(text)
@@ -223,10 +226,8 @@ def _parse_with_pint(text: str) -> Unit:
                     break  # °C and the like have another zero
                 return Unit(unit.symbol, float(quantity.to(base).magnitude))
     except Exception as error:
-        raise LogError(
-            f"unknown unit {text[:40]!r}; known are {', '.join(SUFFIXES)}, counts, PWM"
-        ) from error
-    raise LogError(f"unit {text!r} is no quantity of a drive; known are {', '.join(SUFFIXES)}")
+        raise LogError(f"unknown unit {text[:40]!r}; known are {_KNOWN}") from error
+    raise LogError(f"unit {text!r} is no quantity of a drive; known are {_KNOWN}")
 
 
 # SI symbol -> (suffix, factor) for people: angles in degrees.

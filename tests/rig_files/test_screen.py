@@ -57,6 +57,7 @@ REFUSED = {
         "36. times what the rig file declares: perhaps turns and degrees are mixed up",
     ),
     "volts in millivolts": (times(u=1e3), "1.0.*e.03 times .* thousandths, are mixed up"),
+    "percent as shares": (times(u=0.01), "0.010.* times .* perhaps percent and shares"),
     "no voltage": (times(u=0.0), "nothing to diagnose: .* has no excitation: u never changes"),
     "no motion": (times(q=0.0, w=0.0), "nothing to diagnose: .* has no motion: w and q never"),
 }

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.screen import LEAN, STRANGE, VAGUE
+from dmptm_ctrl.diagnosis.screen import LEAN, STRANGE, VAGUE, mistakes_near
 from dmptm_ctrl.drive.rig import Rig, Sensor, is_known
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.signals import Log, LogError
@@ -287,13 +287,13 @@ def other_scale(rig: Rig, balance: Balance) -> str:
     if inertia < SURE * se or low / HIDDEN < inertia < STRANGE * high:
         return ""
     ratio = inertia / value
-    near = [why for f, why in MISTAKES.items() if 1.0 / VAGUE < ratio * f < VAGUE]
+    near = mistakes_near(1.0 / ratio)
     for link in rig.links:
         other = replace(link, ratio=replace(link.ratio, value=1 / link.ratio.value))
         inverted = replace(rig, links=tuple(other if k is link else k for k in rig.links))
         if 1.0 / VAGUE < inertia / _declared(inverted, inverted.turns(point.body))[1] < VAGUE:
             near = [f"the ratio of {link.name} is the wrong way round", *near]
-    perhaps = f": perhaps {near[0]}" if near else ""  # the commonest first
+    perhaps = f": perhaps {near[0]}" if near else ""
     return (
         f"the logs show an inertia of {inertia:.3g} {_inertia_unit(rig, point.body)} at "
         f"{point.body}, {ratio:.3g} times what the rig file declares{perhaps}; mend units and "

@@ -18,7 +18,7 @@ from dmptm_ctrl.identify.motion import (
     smooth,
 )
 from dmptm_ctrl.signals import Campaign, Log, LogError, MissingChannelError
-from dmptm_ctrl.signals.plausible import MISTAKES, lean, refuse_inconsistent
+from dmptm_ctrl.signals.plausible import MISTAKES, NAMED, lean, refuse_inconsistent
 from dmptm_ctrl.simulate.model import Model
 
 NEEDED = ("u_left", "u_right", "theta_L", "omega_L")
@@ -176,12 +176,19 @@ def refuse_other_drive(logs: list[Log], drive: Drive) -> None:
     if 1.0 / STRANGE < ratio < STRANGE:
         return
     times = f"{ratio:.3g} times" if np.isfinite(ratio) else "large beside"
-    near = [why for f, why in MISTAKES.items() if 1.0 / VAGUE < ratio / f < VAGUE]
-    perhaps = f": perhaps {near[0]}" if near else ""  # the commonest first
+    near = mistakes_near(ratio)
+    perhaps = f": perhaps {near[0]}" if near else ""
     raise LogError(
         f"the speeds in the logs are {times} those of the declared model under the same "
         f"voltages{perhaps}; mend the units of the logs, or declare this drive in a rig.toml"
     )
+
+
+def mistakes_near(ratio: float) -> list[str]:
+    """Return mistakes that a vague factor may be: the close ones first, of these the commonest."""
+    off = {f: abs(np.log(ratio / f)) for f in MISTAKES} if 0.0 < ratio < np.inf else {}
+    near = [f for f in off if off[f] < np.log(VAGUE)]
+    return [MISTAKES[f] for f in sorted(near, key=lambda f: off[f] > np.log(NAMED))]
 
 
 def first_seconds(log: Log) -> Log:

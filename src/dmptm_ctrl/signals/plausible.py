@@ -18,6 +18,7 @@ _MIXED = {
     6.0: "rpm and deg/s",
     30 / np.pi: "rpm and rad/s",
     360.0: "turns and degrees",
+    100.0: "percent and shares, or centimetres and metres,",
     60.0: "arc-minutes and degrees, or turns per minute and per second,",
 }
 MISTAKES = {f: f"{what} are mixed up" for k, what in _MIXED.items() for f in (k, 1 / k)}

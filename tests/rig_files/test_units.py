@@ -220,6 +220,14 @@ def test_a_lead_is_per_turn(given, length):
     )
 
 
+@pytest.mark.parametrize("lead", ["10", '"10 m"'])
+def test_a_lead_of_metres_is_warned_of(lead):
+    (said,) = parse_rig(SCREW.format(lead=lead)).cautions()
+    assert "moves slide by 10 m per turn of motor" in said
+    assert said.endswith("write lead = '10 mm'")
+    assert parse_rig(SCREW.format(lead="0.01")).cautions() == []
+
+
 def test_a_lead_of_nothing_is_refused():
     with pytest.raises(RigError, match="line 8: .*a lead of 0 moves nothing"):
         parse_rig(SCREW.format(lead=0))

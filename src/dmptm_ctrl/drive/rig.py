@@ -6,7 +6,7 @@ Made from a file by :func:`dmptm_ctrl.drive.rigfile.load_rig`.
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from math import inf, isfinite, nan
+from math import inf, isfinite, nan, pi
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from dmptm_ctrl.signals.errors import repeated
 from dmptm_ctrl.signals.loaders import gather, stem
 
 SMALL = 0.1  # of a time constant; a lag beside it that is shorter moves poles by as little
+LONG_LEAD = 1.0  # m per turn; a pulley has a third of a metre across then
 DEFAULT_TOLERANCE = 0.3  # of a declared value that does not state one; documented in rig_toml.md
 
 FRICTION = (  # names per direction; without _plus, _minus the same in both
@@ -315,8 +316,16 @@ class Rig:
         return turns
 
     def cautions(self) -> list[str]:
-        """Sentences about what the models of this rig leave out although it may matter."""
+        """Sentences about what models leave out although it may matter, and about long leads."""
         found = []
+        for link in self.links:
+            slides = self.body(link.second).linear and not self.body(link.first).linear
+            if slides and (lead := 2 * pi / abs(link.ratio.value)) >= LONG_LEAD:
+                found.append(
+                    f"{link.name} moves {link.second} by {lead:.4g} m per turn of {link.first} (a "
+                    "lead without a unit is in metres); if millimetres are meant, write "
+                    f"lead = '{lead:.4g} mm'"
+                )
         for source in (i for i in self.inputs if i.back_emf and "inductance" in i.factors):
             electric = source.factors["inductance"].value / source.factors["resistance"].value
             turns = self.turns(source.body, rigidly=True)

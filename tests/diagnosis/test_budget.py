@@ -21,6 +21,7 @@ from dmptm_ctrl.diagnosis.negligible import material_together
 from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.diagnosis.summary import parameter_lines
 
+UNITS = ("deg/s", "N·m")
 SPEED, TORQUE = (0.2, 0.1), (3.0, 1.0)  # deg/s and N·m: not explained, floor
 
 
@@ -133,7 +134,7 @@ def test_entries_are_plain():
 
 def test_lines_of_text():
     rows = closed([row("drive_offset", 1.0, None)], Errors(10.0, 1.0, 1.0))
-    lines = table_lines(rows, ("deg/s", "N·m"))
+    lines = table_lines(rows, UNITS)
     assert len(lines) == 1 + len(rows)
     assert " ".join(lines[0].split()) == "effect @ place speed torque share depends on"
     ends = [lines[0].index(word) + len(word) for word in ("speed", "torque", "share")]
@@ -145,6 +146,14 @@ def test_lines_of_text():
     assert "speed" not in bare[0]
     assert "deg/s" not in bare[1]
     assert MATERIAL < EXPLAINED < 1.0 < NONE
+
+
+def test_a_run_that_is_no_worse_without_an_effect_says_so():
+    one = Row("cogging", "ring gear", 0.0, 0.5, 1.0, ("theta_L",))
+    lines = table_lines(closed_rows([one], Errors(10.0, 1.0, 1.0), (0, 0), (1, 1), ()), UNITS)
+    assert "no rise" in lines[1]
+    assert not any("no rise" in line for line in lines[2:])
+    assert len({line.index("%") for line in lines[1:]}) == 1
 
 
 def test_the_error_is_the_speeds_where_there_is_one_else_the_torques():

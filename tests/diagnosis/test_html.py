@@ -251,6 +251,13 @@ def test_the_budget_is_told_row_by_row(diagnosis, page, parsed):
     assert 'alt="Error budget:' in page.split("<nav")[0]  # on the first screen
 
 
+def test_a_run_that_is_no_worse_without_an_effect_is_said_in_the_budget():
+    diagnosis = made("explained")
+    first, *others = diagnosis.budget
+    told = replace(diagnosis, budget=(replace(first, speed_rms=0.0), *others))
+    assert render(told).count(">no rise<") == 1
+
+
 def test_the_budget_is_drawn_as_it_is():
     """Bars as long as the shares, each with its name; the text stays inside the axes."""
     diagnosis = made("unknown")

@@ -16,6 +16,7 @@ MATERIAL = 0.02  # share of the removable mean square from which an effect matte
 # What is left must rise by without an effect, over what is left that is no noise. A law of friction
 # that is only nearly right imitates effects below it: benchmarks/calibrate.py --ordinary.
 NEGLIGIBLE = 0.1
+NOT_EXPLAINED, FLOOR = "not explained", "floor"  # the last rows
 
 
 class Squares(NamedTuple):
@@ -105,6 +106,10 @@ class Row:
     share: float
     depends_on: tuple[str, ...] = ()
 
+    def without_rise(self, value: float) -> bool:
+        """Whether an error is no larger without it, where it is an effect."""
+        return value == 0.0 and self.name not in (NOT_EXPLAINED, FLOOR)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of diagnosis.json."""
         return {**asdict(self), "depends_on": list(self.depends_on)}
@@ -153,8 +158,8 @@ def closed_rows(
     if rows and own < named:
         done.append(Row("shared", "several of these effects", None, None, named - own))
     done.sort(key=lambda r: -r.share)
-    done.append(Row("not explained", "", *left, unexplained, depends_on))
-    done.append(Row("floor", "", *floor, errors.floor / whole))
+    done.append(Row(NOT_EXPLAINED, "", *left, unexplained, depends_on))
+    done.append(Row(FLOOR, "", *floor, errors.floor / whole))
     return done
 
 
@@ -176,6 +181,8 @@ def table_lines(rows: Sequence[Row], units: tuple[str, str]) -> list[str]:
         for value, unit in ((r.speed_rms, speed), (r.torque_rms, torque)):
             if unit:
                 shown = f"{'–':>9}" if value is None else f"{value:9.3g} {unit}"
+                if value is not None and r.without_rise(value):
+                    shown = f"{'no rise':>9}"
                 parts.append(f"{shown:{10 + len(unit)}}")
         parts.append(f"{100.0 * r.share:5.1f} %")
         if r.depends_on:

@@ -233,6 +233,13 @@ def test_every_effect_is_named_and_nothing_is_nan(diagnosis, parsed):
         assert name in text
 
 
+def test_found_effects_stand_first_in_the_ranking_whatever_the_scores(diagnosis, page):
+    statuses = [row["status"] for row in diagnosis.ranking]
+    found = statuses.count("supported")
+    assert "supported" not in statuses[found:]
+    assert "A rejected effect may have a higher score" in page
+
+
 def test_report_repeats_the_errors(diagnosis, parsed):
     for which in ("before", "after"):
         assert number(diagnosis.error[which]["rmse"]) in parsed.text

@@ -213,3 +213,13 @@ def test_a_large_error_of_a_parameter_is_a_plain_percentage():
     _, large, small = parameter_lines(declared)
     assert "(300 %)" in large
     assert "(2.5 %)" in small
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown"),
+    [("kg", "mass"), ("A·s²/m", "mass"), ("kg·m²", "inertia"), ("A·s²/rad", "inertia")],
+)
+def test_what_slides_has_a_mass(unit, shown):
+    one = {"fitted": 2.0, "se": 0.1, "unit": unit, "range": None, "outside": False}
+    (_, line) = parameter_lines({"body.table.inertia": one})
+    assert line.strip().startswith(f"body.table.{shown} = 2")

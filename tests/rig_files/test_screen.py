@@ -70,6 +70,17 @@ def test_refused(mistake):
         looked_at(frames(bad, all_of_them=True))
 
 
+def test_what_slides_has_a_mass():
+    time = 1e-3 * np.arange(4000)
+    shaken = np.sin(9 * time) + 0.5 * np.sin(23 * time)
+    pushed = -2.0 * (81 * np.sin(9 * time) + 264.5 * np.sin(23 * time))  # 2 kg
+    rig = parse_rig(
+        '[body.table]\nmass = "0.02 kg"\n[input.f]\ncolumn = "f_N"\n[sensor.x]\ncolumn = "x_m"\n'
+    )
+    with pytest.raises(LogError, match=r"show a mass of 2(\.0\d*)? kg at table.* or the mass$"):
+        looked_at({"run": pd.DataFrame({"time_s": time, "f_N": pushed, "x_m": shaken})}, rig)
+
+
 WARNED = {
     "no voltage": (times(u=0.0), f"left out: {FIRST} has no excitation"),
     "no motion": (times(q=0.0, w=0.0), f"left out: {FIRST} has no motion"),

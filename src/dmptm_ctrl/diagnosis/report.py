@@ -12,7 +12,7 @@ import numpy as np
 from dmptm_ctrl.diagnosis.budget import MATERIAL, NONE, Errors, Row, near, table_lines
 from dmptm_ctrl.diagnosis.experiment import EXPERIMENT_FILE, Experiment
 from dmptm_ctrl.diagnosis.select import Selection
-from dmptm_ctrl.diagnosis.summary import correlation_lines, parameter_lines, versions
+from dmptm_ctrl.diagnosis.summary import correlation_lines, parameter_lines, shown_names, versions
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.signals.atomic import output_folder
 from dmptm_ctrl.simulate.model import Model
@@ -159,6 +159,16 @@ class Diagnosis:
         return tuple(k for k, v in self.declared_values.items() if v["outside"])
 
     @property
+    def shown(self) -> dict[str, str]:
+        """Names of the declared parameters for reading, by their keys."""
+        return shown_names(self.declared_values)
+
+    @property
+    def outside_shown(self) -> str:
+        """Names of :attr:`outside` for reading, separated by commas."""
+        return ", ".join(self.shown[key] for key in self.outside)
+
+    @property
     def units(self) -> tuple[str, str]:
         """Units of the budget's speeds and torques; empty where there are none."""
         speed, torque = (self.error["after"].get(k) or {} for k in ("speed", "torque"))
@@ -180,7 +190,7 @@ class Diagnosis:
             left += f" are left on {self.error['on']}"
         beyond = ""
         if self.outside and not self.effects:
-            beyond = f"; fitted values leave their declared ranges: {', '.join(self.outside)}"
+            beyond = f"; fitted values leave their declared ranges: {self.outside_shown}"
         if self.verdict == "none":
             balance = sqrt(self.errors.before / max(self.errors.floor, 1e-300))
             told = f"is {balance:.2f} times the floor; {left}{beyond}."
@@ -252,7 +262,7 @@ class Diagnosis:
                     text += f", below {two['bandwidth_hz']:g} Hz)"
                 lines.append(text)
         if self.outside:
-            lines.append("at or outside the declared range: " + ", ".join(self.outside))
+            lines.append(f"at or outside the declared range: {self.outside_shown}")
         for effect in self.effects:
             kind = "" if effect.material else ", immaterial"
             head = f"{effect.name} ({effect.location}), probability {effect.probability:.2f}{kind}"
@@ -271,7 +281,8 @@ class Diagnosis:
                 f"{self.experiment.description}, {EXPERIMENT_FILE}",
             ]
         lines += ["", *parameter_lines(self.declared_values)]
-        lines += correlation_lines(self.correlations)
+        pairs = [(self.shown.get(a, a), self.shown.get(b, b), c) for a, b, c in self.correlations]
+        lines += correlation_lines(pairs)
         lines += [f"warning: {text}" for text in self.warnings]
         return "\n".join(lines)
 

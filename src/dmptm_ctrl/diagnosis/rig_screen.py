@@ -211,7 +211,7 @@ def refuse_reversed(rig: Rig, balance: Balance) -> str:
     if wrong and any(found > SURE * se for found, se, _ in each.values()):
         raise LogError(
             f"{', '.join(wrong)}: {columns} or {_column(rig, point.name)} counts the other way "
-            f"than in the other logs: an inertia of {each[wrong[0]][0]:.3g} "
+            f"than in the other logs: {_mass(rig, point.body, True)} of {each[wrong[0]][0]:.3g} "
             f"{_inertia_unit(rig, point.body)} at {point.body}"
         )
     if inertia > -SURE * se:
@@ -219,14 +219,14 @@ def refuse_reversed(rig: Rig, balance: Balance) -> str:
     shown = f"{_inertia_unit(rig, point.body)} at {point.body}"
     if is_known(rig.inputs[0].gain):
         said = (
-            f"the logs show an inertia of {inertia:.3g} {shown}: {columns} or "
+            f"the logs show {_mass(rig, point.body, True)} of {inertia:.3g} {shown}: {columns} or "
             f"{_column(rig, point.name)} counts the other way (sign = -1 in the rig file)"
         )
     else:  # then the direction is not declared, either
         said = (
             f"[input.{rig.inputs[0].name}] has no gain that would say which way {columns} pushes, "
             f"and the logs show that it pushes against {_column(rig, point.name)}: with sign = -1 "
-            f"there the inertia is {-inertia:.3g} {shown}"
+            f"there the {_mass(rig, point.body)} is {-inertia:.3g} {shown}"
         )
     ways = [_path(rig, point.body, i.body) for i in rig.inputs]
     if (energy < 0 or wrong) and all(way.rigid for way in ways):
@@ -236,6 +236,12 @@ def refuse_reversed(rig: Rig, balance: Balance) -> str:
 
 def _column(rig: Rig, sensor: str) -> str:
     return next(s.column for s in rig.sensors if s.name == sensor)
+
+
+def _mass(rig: Rig, body: str, article: bool = False) -> str:
+    """What accelerates slower: the inertia of a body that turns, the mass of one that slides."""
+    what = "mass" if rig.body(body).linear else "inertia"
+    return f"{'a' if what == 'mass' else 'an'} {what}" if article else what
 
 
 def _inertia_unit(rig: Rig, body: str) -> str:
@@ -260,13 +266,13 @@ def refuse_no_gain(rig: Rig, balance: Balance) -> None:
     low, value, high = _declared(rig, turns)
     if inertia < SURE * se or low / VAGUE < inertia < VAGUE * high:
         return
-    body = rig.body(point.body)
+    body, what = rig.body(point.body), _mass(rig, point.body)
     raise LogError(
         f"[input.{source.name}] has no gain, so that torques count in the unit of {source.column}; "
-        f"in it the logs show an inertia of {inertia:.3g} at {point.body}, where the rig file "
-        f"declares {value:.3g} {'kg' if body.linear else 'kg·m²'}: give the gain (with this "
-        f"inertia {value / inertia:.3g} {body.force_unit} per "
-        f"{parse_unit(source.unit).symbol or 'unit'}), or write that the inertia is unknown"
+        f"in it the logs show {_mass(rig, body.name, True)} of {inertia:.3g} at {point.body}, "
+        f"where the rig file declares {value:.3g} {'kg' if body.linear else 'kg·m²'}: give the "
+        f"gain (with this {what} {value / inertia:.3g} {body.force_unit} per "
+        f"{parse_unit(source.unit).symbol or 'unit'}), or write that the {what} is unknown"
     )
 
 
@@ -295,9 +301,9 @@ def other_scale(rig: Rig, balance: Balance) -> str:
             near = [f"the ratio of {link.name} is the wrong way round", *near]
     perhaps = f": perhaps {near[0]}" if near else ""
     return (
-        f"the logs show an inertia of {inertia:.3g} {_inertia_unit(rig, point.body)} at "
-        f"{point.body}, {ratio:.3g} times what the rig file declares{perhaps}; mend units and "
-        "gains in the rig file, or the inertia"
+        f"the logs show {_mass(rig, point.body, True)} of {inertia:.3g} "
+        f"{_inertia_unit(rig, point.body)} at {point.body}, {ratio:.3g} times what the rig file "
+        f"declares{perhaps}; mend units and gains in the rig file, or the {_mass(rig, point.body)}"
     )
 
 

@@ -28,11 +28,24 @@ def correlated(
     return sorted(found, key=lambda row: -abs(row[2]))
 
 
+def shown_names(declared: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Return names of parameters for reading: what slides has a mass instead of an inertia."""
+    units = {key: p.get("unit", "") for key, p in declared.items()}
+    slides = {key for key, unit in units.items() if unit == "kg" or unit.endswith("·s²/m")}
+    return {
+        key: f"{key.removesuffix('inertia')}mass"
+        if key in slides and key.endswith(".inertia")
+        else key
+        for key in declared
+    }
+
+
 def parameter_lines(declared: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Return a line per declared parameter: estimate, se, declared range, bounds left."""
     lines = ["parameters of the drive (fitted, ± standard error, declared range)"]
-    wide = max(map(len, declared), default=0)
-    for name, p in declared.items():
+    names = shown_names(declared)
+    wide = max(map(len, names.values()), default=0)
+    for name, p in zip(names.values(), declared.values(), strict=True):
         value, se = p["fitted"], p["se"]
         share = 100 * se / abs(value) if value else 0.0
         relative = f" ({share:{'.2g' if share < 99.5 else '.0f'}} %)" if value else ""

@@ -142,3 +142,11 @@ def test_what_belongs_to_a_log_is_no_change():
     assert [p.key for p in found.parameters] == ["J_L"]
     assert find_moved(information_of(found, {}), entries_of(found.parameters))[0] == []
     assert np.std(found.left) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_slide_has_a_mass():
+    table, rotor = (
+        Parameter(f"body.{name}.inertia", unit, 2.0, 1.0, np.inf)
+        for name, unit in (("table", "kg"), ("rotor", "kg·m²"))
+    )
+    assert [e.name for e in entries_of([table, rotor])] == ["mass of table", "body.rotor.inertia"]

@@ -99,10 +99,11 @@ def _group(parameter: Parameter) -> str:
     if parameter.effect:
         return parameter.effect
     key = parameter.key
-    if key.startswith("body.") and not key.endswith("inertia"):
-        body, _, name = key.removeprefix("body.").rpartition(".")
+    body, _, name = key.removeprefix("body.").rpartition(".")
+    if key.startswith("body.") and (name != "inertia" or parameter.unit == "kg"):
         stem = name.removesuffix("_plus").removesuffix("_minus")
-        word = "friction" if stem in ("coulomb", "static") else stem.replace("_", " ")
+        words = {"coulomb": "friction", "static": "friction", "inertia": "mass"}  # a slide's
+        word = words.get(stem, stem.replace("_", " "))
         return f"{word} of {body}"
     return _DUAL.get(key if key.startswith("gap") else key[:2], key)
 

@@ -11,6 +11,7 @@ from tests.rig_files.truth import Bench, Machine
 import check as bench_of
 from dmptm_ctrl.check.evidence import evidence_of, only_own
 from dmptm_ctrl.check.moved import entries_of, find_moved, information_of
+from dmptm_ctrl.check.run import check
 from dmptm_ctrl.diagnosis.rig_diagnose import split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.drive.rigfile import parse_rig
@@ -73,6 +74,23 @@ def test_a_change_is_found_with_its_size(model, name):
     moved, _ = checked(model, bench, 9)
     assert moved[0].entry.name == name
     assert moved[0].change == pytest.approx(size, rel=0.25)
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_logs_that_disagree_are_told(model, name):
+    """One before a change, one after it; logs of one machine agree."""
+    values, size = CHANGES[name]
+    old, new = (
+        replace(logs_of(BENCH.with_(machine=replace(MACHINE, **v)), 9)[1][0], name=n)
+        for n, v in (("old", {}), ("new", values))
+    )
+    found = check(model, [old, new])
+    (said,) = [text for text in found.warnings if "disagree" in text]
+    assert said.startswith(f"the logs disagree about {name}: ")
+    assert said.endswith(" in old; check them one by one")
+    assert float(said.split(": ")[1].split(" %")[0]) == pytest.approx(100 * size, rel=0.25)
+    again = replace(logs_of(BENCH, 8)[1][0], name="again")
+    assert check(model, [old, again]).warnings == ()
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ Biometrika 73 (1986) 13).
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.stats import t as student
@@ -54,13 +55,15 @@ class Change:
 
     def text(self) -> str:
         """Return the change as a line of text."""
+        return f"{self.entry.name}: {self.size_text()} ({self.errors:+.1f} standard errors)"
+
+    def size_text(self) -> str:
+        """Return its size and standard error as text."""
         entry = self.entry
         if not entry.unit:
-            size = f"{100.0 * self.change:+.3g} % ± {100.0 * self.se:.2g} %"
-        else:
-            new = entry.value + self.change
-            size = f"{entry.value:.4g} → {new:.4g} ± {self.se:.2g} {entry.unit}".removesuffix(" 1")
-        return f"{entry.name}: {size} ({self.errors:+.1f} standard errors)"
+            return f"{100.0 * self.change:+.3g} % ± {100.0 * self.se:.2g} %"
+        new = entry.value + self.change
+        return f"{entry.value:.4g} → {new:.4g} ± {self.se:.2g} {entry.unit}".removesuffix(" 1")
 
 
 def entries_of(parameters: Sequence[Parameter]) -> tuple[Entry, ...]:
@@ -206,6 +209,37 @@ def beside(
         if change is not None:
             found.append(change)
     return found
+
+
+def disagreement(
+    logs: Mapping[str, Information],
+    entries: Sequence[Entry],
+    moved: Sequence[Entry],
+    tolerance: float = TOLERANCE,
+) -> str:
+    """Return what two logs say of the entry about which they differ most; empty if they agree.
+
+    They differ where it is by more than the tolerance and their errors allow, over all pairs and
+    entries together. What `moved` in all logs together is free.
+    """
+    count, worst = len(entries) * len(logs) * (len(logs) - 1) // 2, (1.0, "")
+    for entry in entries:
+        found: dict[str, Change] = {}
+        for log, information in logs.items():
+            rest = information
+            for other in moved:
+                rest = rest.without(other) if other.name != entry.name else rest
+            if (change := rest.change(entry, tolerance)) is not None:
+                found[log] = change
+        for one, two in combinations(found, 2):
+            a, b = found[one], found[two]
+            apart = Change(entry, a.change - b.change, float(np.hypot(a.se, b.se)), 0.0)
+            stretches = len(logs[one].scores) + len(logs[two].scores) - 1
+            clear = apart.beyond(tolerance) / threshold(count, stretches)
+            said = f"{a.size_text()} in {one}, {b.size_text()} in {two}"
+            text = f"the logs disagree about {entry.name}: {said}; check them one by one"
+            worst = max(worst, (clear, text))
+    return worst[1]
 
 
 def threshold(count: int, stretches: int) -> float:

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -14,6 +15,7 @@ from dmptm_ctrl.check.moved import (
     Change,
     Information,
     beside,
+    disagreement,
     entries_of,
     find_moved,
     information_of,
@@ -176,6 +178,9 @@ def check(
     }
     evidence = shown[newest][0]
     names = tuple(log.name for log in dated[newest])
+    each = _each(model, dated[newest], errors or {}, jobs)
+    apart = disagreement(each, [c.entry for c in alone], [c.entry for c in moved], tolerance)
+    told += [apart] if apart else []
     rms, unit = evidence.torque_rms, evidence.unit
     return Check(moved, alone, rms, floor, unit, names, trend, tuple(told))
 
@@ -202,6 +207,17 @@ def _shown(
 ) -> tuple[Evidence, Information]:
     evidence = only_own(evidence_of(model, logs, jobs))
     return evidence, information_of(evidence, errors)
+
+
+def _each(
+    model: AnyModel, logs: Sequence[Log], errors: Mapping[str, float], jobs: int
+) -> dict[str, Information]:
+    """What single logs say, of those that show motion."""
+    found = {}
+    for log in logs if len(logs) > 1 else ():
+        with suppress(LogError):
+            found[log.name] = _shown(model, [log], errors, jobs)[1]
+    return found
 
 
 def date_of(name: str) -> datetime | None:

@@ -120,10 +120,11 @@ def predict(
     from dmptm_ctrl.signals.atomic import write_atomic
 
     told: list[str] = []
-    write_atomic(out, predict_file(log, model, single=single, told=told))
+    content, errors = predict_file(log, model, single=single, told=told)
+    write_atomic(out, content)
     for text in told:
         Progress().warn(text)
-    print(f"written to {out}")
+    print(f"{printable(errors)}\nwritten to {out}")
 
 
 @app.command()

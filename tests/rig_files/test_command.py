@@ -9,6 +9,10 @@ import pytest
 from tests.rig_files.test_report import BENCH, diagnosed
 
 from dmptm_ctrl.cli import main
+from dmptm_ctrl.diagnosis.predict import errors_told
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +53,7 @@ def test_report_stands_alone(bench):
     assert "https://" not in page
 
 
-def test_prediction_follows_the_log(bench):
+def test_prediction_follows_the_log(bench, capsys):
     log = bench / "logs" / "run3_chirp.csv"
     out = bench / "pred.csv"
     model = bench / "out" / "model.toml"
@@ -59,6 +63,29 @@ def test_prediction_follows_the_log(bench):
     assert len(run) == len(seen)
     error = np.sqrt(np.mean((run.w - seen.w) ** 2))
     assert error < 0.05 * np.std(seen.w)  # free run, no correction
+    (said,) = re.findall(
+        r"^w: rms error (\S+) rad/s against the log$", capsys.readouterr().out, re.M
+    )
+    assert float(said) == pytest.approx(error, rel=0.01)
+
+
+def test_errors_of_a_prediction_are_in_the_unit_of_the_sensor():
+    """One count of 4096 off; columns that are not in the log have their unit."""
+    text = (
+        '[body.rotor]\ninertia = 1\n[input.u]\ncolumn = "u_V"\n[sensor.enc]\ncolumn = "n"\n'
+        'unit = "counts"\ncounts_per_rev = 4096\n[sensor.tacho]\ncolumn = "w"\nunit = "rpm"\n'
+    )
+    table = pd.DataFrame({"n": [1.0, 2.0], "w": [3.0, 4.0]})
+    told = errors_told(RigModel(parse_rig(text)), table, {"n": np.array([0.0, 3.0])})
+    assert told.splitlines() == [
+        f"n: rms error {2 * np.pi / 4096:.3g} rad against the log",
+        "w: in rpm, not in the log",
+    ]
+    told = errors_told(
+        Model(), pd.DataFrame({"omega_L_deg_s": [2.0]}), {"omega_L_deg_s": np.ones(1)}
+    )
+    assert "omega_L_deg_s: rms error 1 deg/s against the log" in told
+    assert "theta_ml_deg: in deg, not in the log" in told
 
 
 def test_a_prediction_that_runs_away_is_refused(bench, tmp_path, capsys):

@@ -4,7 +4,7 @@ What a run does after many bounces depends on digits of the parameters that nobo
 motion to be expected is the mean of runs that differ in them: it misses least.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 
 import numpy as np
@@ -159,6 +159,26 @@ def measured(model: Model | RigModel, log: Log) -> dict[str, Floats]:
         return {name: np.rad2deg(log[c]) for c, name in DUAL_COLUMNS.items() if c in log}
     sensors = (s for s in model.rig.sensors if s.channel in log)
     return {s.column: log[s.channel] / (parse_unit(s.unit).factor * s.sign) for s in sensors}
+
+
+def errors_told(model: Model | RigModel, table: pd.DataFrame, seen: Mapping[str, Floats]) -> str:
+    """Return a line per predicted sensor: its unit, and its rms error where the log has it.
+
+    `seen` are the columns that the log has, see :func:`measured`.
+    """
+    units = {
+        name: ("deg/s" if name.endswith("_s") else "deg", 1.0) for name in DUAL_COLUMNS.values()
+    }
+    if isinstance(model, RigModel):  # a scale is part of the factor on a column
+        units = {s.column: (s.unit, abs(s.sign)) for s in model.rig.sensors}
+    lines = []
+    for column, (unit, scale) in units.items():
+        told = f"in {unit if scale == 1.0 else f'{scale:.6g} {unit}'}, not in the log"
+        if column in seen:
+            miss = scale * (table[column].to_numpy() - seen[column])
+            told = f"rms error {float(np.sqrt(np.mean(miss**2))):.3g} {unit} against the log"
+        lines.append(f"{column}: {told}")
+    return "\n".join(lines)
 
 
 def _predict_rig(model: RigModel, log: Log) -> pd.DataFrame:

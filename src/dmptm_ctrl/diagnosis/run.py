@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from dmptm_ctrl.diagnosis.diagnose import diagnose_dual
-from dmptm_ctrl.diagnosis.predict import RUNS, inputs_of, measured, prediction
+from dmptm_ctrl.diagnosis.predict import RUNS, errors_told, inputs_of, measured, prediction
 from dmptm_ctrl.diagnosis.report import Diagnosis
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
@@ -81,8 +81,10 @@ def diagnose(
 
 def predict_file(
     log: Path, model: Path, *, single: bool = False, told: list[str] | None = None
-) -> Iterator[str]:
-    """Predict a log file with a model file; return the CSV text in parts.
+) -> tuple[Iterator[str], str]:
+    """Predict a log file with a model file.
+
+    Return the CSV text in parts, and what is in it: units, and errors against the log.
 
     Parameters
     ----------
@@ -101,8 +103,9 @@ def predict_file(
         except ValueError as error:  # something is unknown
             raise LogError(f"{model.name}: {error}") from None
     table = prediction(read, given, 1 if single else RUNS)
-    _refuse_runaway(table, model.name, measured(read, given))
-    return _csv(table)
+    seen = measured(read, given)
+    _refuse_runaway(table, model.name, seen)
+    return _csv(table), errors_told(read, table, seen)
 
 
 def _csv(table: pd.DataFrame) -> Iterator[str]:

@@ -54,6 +54,27 @@ def test_balance_closes_without_a_run_while_teeth_touch(rig):
     assert np.std(worse[0, use]) > 3.0 * np.std(left[0, use])
 
 
+def test_rows_do_not_hang_on_the_digits_of_a_gap(rig):
+    model = RigModel(rig)
+    log, _ = log_of(model)
+    time = log.time
+    swings = 0.9 * np.sin(2 * np.pi * 0.4 * time) + 0.4 * np.sin(2 * np.pi * 1.7 * time)
+    u = np.array([swings, 0.8 * swings])
+    run = march(model, u, DT)
+    channels = {"in_left": u[0], "in_right": u[1]}
+    channels |= {"out_encoder": run.reading("encoder"), "out_gyro": run.reading("gyro")}
+    log, balance = Log("swings", time, channels), None
+    found = []
+    for digit in (0.0, 1e-9, -1e-9, 1e-8):
+        gap = (1.0 + digit) * model.value("link.left.half_gap")
+        near = model.with_values({"link.left.half_gap": gap})
+        balance = touching(balance or balance_of(rig, [log]), near, [log])
+        found.append(balance.motions[0].moving)
+    some = np.any(found, axis=0)
+    assert some.sum() > 50
+    assert np.mean([np.mean(one[some]) for one in found]) > 0.95  # nearly the same rows
+
+
 def test_friction_under_load_takes_the_load_of_closed_teeth(rig):
     rubs = Placed("load_dependent_friction", "pinion_left", {"coefficient": 0.3})
     model = RigModel(rig).with_effect(rubs)

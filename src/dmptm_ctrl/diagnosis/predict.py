@@ -13,8 +13,8 @@ import pandas as pd
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.identify.compared_signals import agreement, low_pass
 from dmptm_ctrl.identify.records import RING_COUNT, true_angle
+from dmptm_ctrl.identify.rig_simulate import SPREAD, TWINS, readings
 from dmptm_ctrl.identify.rig_simulate import free_run as rig_free_run
-from dmptm_ctrl.identify.rig_simulate import readings
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.signals import Log, load_log
 from dmptm_ctrl.signals.units import parse_unit
@@ -33,10 +33,6 @@ DUAL_COLUMNS = {
 SPEED = (OUTPUTS.index("omega_L"),)
 RUNS = 16
 TOGETHER = 100_000  # samples of a log, up to which the runs are held at once: 100 MB
-# Standard deviation of how stiffness and damping of the meshes change, which decide when a pinion
-# leaves its flank; no fit knows them more finely.
-SPREAD = 0.003
-TWINS = 8  # drives within the standard errors of a fit, whose scatter no fit can remove
 
 
 def twin_steps(covariance: Floats) -> list[Floats]:

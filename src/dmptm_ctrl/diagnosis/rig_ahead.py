@@ -7,7 +7,7 @@ Source: prediction errors of a fixed-gain observer, Ljung, System Identification
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import sqrt
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from dmptm_ctrl.diagnosis.rig_runs import Runs
 from dmptm_ctrl.diagnosis.rig_state import RigState
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.identify.compared_signals import correlation_length
+from dmptm_ctrl.identify.fit import secant
 from dmptm_ctrl.identify.free_parameters import Free
 from dmptm_ctrl.identify.heavy_tails import bent, robust_scale, tails
 from dmptm_ctrl.identify.inverse_dynamics import Balance
@@ -31,7 +32,7 @@ from dmptm_ctrl.simulate.rig_model import RigModel, link_inertias
 from dmptm_ctrl.simulate.rig_run import substeps_for
 
 MOST_STEPS = 5e7  # of the simulator for all slopes once, some seconds; more is not begun
-ROUNDS = 6  # Gauss–Newton steps at most; slopes of runs are taken anew for each
+ROUNDS = 12  # Gauss–Newton steps at most; slopes of runs are taken anew where these gain no more
 STEPS = 1e-4, 0.1  # difference steps are standard errors, but no less and no more scales
 # Damping ratios of a link that are tried. Noise of its twist hides the damping from the balance;
 # in runs it rings by it, and small steps from one that bounces lead nowhere.
@@ -76,9 +77,13 @@ class Predicted:
 
 @dataclass(frozen=True, eq=False)
 class Ahead:
-    """Short predictions of the logs that a model is fitted to."""
+    """Short predictions of the logs that a model is fitted to.
+
+    `slopes` are those of the model before, per number; those of the next are nearly the same.
+    """
 
     runs: Runs
+    slopes: dict[str, Floats] = field(default_factory=dict, init=False)
 
     @classmethod
     def of(
@@ -154,7 +159,11 @@ class Ahead:
     def _settled(self, here: "_End", fit: RigFit) -> "_End":
         """Go on by Gauss–Newton."""
         steps = np.clip(np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), *STEPS)
-        for _ in range(ROUNDS if fit.frees else 0):
+        if not fit.frees:
+            return here
+        fresh = any(f.label not in self.slopes for f in fit.frees)
+        slopes = self._slopes(here, fit.frees, steps) if fresh else self._known(fit.frees)
+        for _ in range(ROUNDS):
             rows = Predicted.of(here.missing)
             seen: dict[State, Floats] = {}
 
@@ -165,16 +174,27 @@ class Ahead:
                 seen[there] = missing
                 return rows.surprise(missing)
 
-            slopes, weights = self._slopes(here, fit.frees, steps), rows.weights
+            weights = rows.weights
             beside = Beside(weights[:, None] * slopes, weights * here.missing, surprise)
             loss, like = here.loss(fit, rows), fit.likelihood
             better = stepped(here.state, fit.frees, here.left, fit.slopes, like, loss, beside)
-            if better is None:
+            gain = 0.0 if better is None else loss - better[3]
+            if gain < TOLERANCE and fresh:
                 break
-            here = _End(*better[:3], seen[better[0]])
-            if loss - better[3] < TOLERANCE:
-                break
+            if better is not None:
+                before, here = here, _End(*better[:3], seen[better[0]])
+                moved = [(here.state.get(f) - before.state.get(f)) / f.scale for f in fit.frees]
+                slopes = secant(slopes, here.missing - before.missing, np.array(moved))
+                fresh = False
+            if gain < TOLERANCE:
+                slopes, fresh = self._slopes(here, fit.frees, steps), True
+        columns = zip(fit.frees, slopes.T, strict=True)
+        self.slopes.update({f.label: column / f.scale for f, column in columns})
         return here
+
+    def _known(self, frees: Sequence[Free]) -> Floats:
+        """Derivatives as another model of the same logs has them."""
+        return np.column_stack([self.slopes[f.label] * f.scale for f in frees])
 
     def _slopes(self, here: "_End", frees: Sequence[Free], steps: Floats) -> Floats:
         """Derivatives of what is not predicted, per scale of each number, (m, numbers)."""

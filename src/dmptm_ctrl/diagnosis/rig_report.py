@@ -349,7 +349,7 @@ def _spring(
         "antiresonance_hz": {"value": w / (2 * pi), "se": dw / (2 * pi), "unit": "Hz"},
         "resonance_hz": {"value": resonance / (2 * pi), "se": error / (2 * pi), "unit": "Hz"},
         "stiffness": {"value": stiffness, "se": 2 * stiffness * dw / w, "unit": unit},
-        "far_mass" if slide else "far_inertia": {
+        "far_inertia": {
             "value": far, "se": 0.0 if share == 0 else far * se.get("share", 0.0) / share,
             "unit": counted_unit(model.rig, "kg" if slide else "kg·m²"),
         },

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.budget import Squares
 from dmptm_ctrl.diagnosis.candidate import members
-from dmptm_ctrl.diagnosis.predict import SPREAD, TWINS, apart, twin_steps
+from dmptm_ctrl.diagnosis.predict import apart, twin_steps
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ, agreement, low_pass, noise_below
 from dmptm_ctrl.identify.heavy_tails import robust_scale
@@ -19,7 +19,7 @@ from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.likelihood import LEAST_SCALE
 from dmptm_ctrl.identify.measured_motion import MOTION_OVER_BALANCE, derivative, grid_of, of_part
 from dmptm_ctrl.identify.rig_fit import RigFit
-from dmptm_ctrl.identify.rig_simulate import free_run, readings
+from dmptm_ctrl.identify.rig_simulate import free_run, readings, with_other_teeth
 from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.signals import Log
@@ -116,28 +116,13 @@ class Runs:
         return done if all(np.isfinite(run).all() for run in done) else None
 
     def expected(self, state: State) -> list[Floats] | None:
-        """Return the mean of runs with slightly other teeth; the run where no link has a gap.
-
-        After impacts each of them is chance, down to the last digit of the arithmetic. A gap in a
-        spring that was added to the declared model has one run.
-        """
-        model, own = state.model.opened, self.run(state)
-        gaps = zip(model.layout.links, model.plant().link_gap, strict=True)
-        keys = [
-            f"link.{n}.{part}" for n, gap in gaps if gap > 0 for part in ("stiffness", "damping")
-        ]
-        keys = [key for key in keys if key in model.quantities]
-        if own is None or not keys:
+        """Return the mean of runs with slightly other teeth; the run where no link has a gap."""
+        own = self.run(state)
+        others = with_other_teeth(state.model.opened) if own is not None else []
+        several = [own, *(self.run(replace(state, model=model)) for model in others)]
+        if any(runs is None for runs in several):
             return own
-        rng, several = np.random.default_rng(0), [own]
-        for _ in range(TWINS):
-            shares = 1.0 + SPREAD * rng.standard_normal(len(keys))
-            values = {k: s * model.value(k) for k, s in zip(keys, shares, strict=True)}
-            other = self.run(replace(state, model=model.with_values(values)))
-            if other is None:
-                return own
-            several.append(other)
-        return [np.mean(parts, axis=0) for parts in zip(*several, strict=True)]
+        return [np.mean(parts, axis=0) for parts in zip(*filter(None, several), strict=True)]
 
     def reading(self, state: State, log: Log) -> Floats:
         """What the sensor would have read of a model, (n,), SI."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.identify.measured_motion import coordinates_of
-from dmptm_ctrl.identify.rig_simulate import free_run
+from dmptm_ctrl.identify.rig_simulate import free_run, with_other_teeth
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
@@ -65,7 +65,15 @@ def touching(balance: "Balance", model: RigModel, logs: Iterable[Log]) -> "Balan
 
 
 def _apart(closed: frozenset[str], model: RigModel, log: Log) -> Floats:
-    """1.0 where a followed link does not touch, or did not lately, (n,)."""
+    """Share of runs in which a followed link does not touch, or did not lately, (n,).
+
+    Of runs with slightly other teeth: when they meet is chance after some impacts.
+    """
+    models = [model, *with_other_teeth(model)]
+    return np.asarray(np.mean([_open(closed, one, log) for one in models], axis=0))
+
+
+def _open(closed: frozenset[str], model: RigModel, log: Log) -> NDArray[np.bool_]:
     run = free_run(model, log, lead_hz=LEAD_HZ)
     open_ = np.zeros(len(log), bool)
     for link in (k for k in model.rig.links if k.name in closed):
@@ -73,7 +81,7 @@ def _apart(closed: frozenset[str], model: RigModel, log: Log) -> Floats:
         twist = run.position(link.first) - ratio * run.position(link.second)
         side = np.where(np.abs(twist) < gap, 0.0, np.sign(twist))
         open_ |= lately_changed(side, log.sample_time) | (side == 0.0)
-    return open_.astype(float)
+    return open_
 
 
 def lately_changed(side: Floats, dt: float) -> NDArray[np.bool_]:

@@ -19,8 +19,10 @@ from dmptm_ctrl.identify.measured_motion import (
     Motion,
     Moves,
     Nuisance,
+    acting_by,
     at_samples,
     derivative,
+    kept,
     recent,
 )
 from dmptm_ctrl.identify.teeth import carried, put_through, twist_of
@@ -82,7 +84,7 @@ def forces_of(
     twists = {n: twist_of(model, n, motion, measured, nuisance) for n in balance.teeth}
     others = [name for name in layout.links if name not in twists]
     runs = _simulated(model, motion, measured, nuisance, others) if others else {}
-    zeros = {b: np.zeros(motion.time.size) for b in layout.bodies}
+    zeros = dict.fromkeys(layout.bodies, np.zeros(motion.time.size))
     pushes, volts = [], {}
     for j, name in enumerate(layout.inputs):
         body = layout.input_body[name]
@@ -99,7 +101,8 @@ def forces_of(
                 load[body] = load[body] + np.abs(factor * torque)
         return load
 
-    load = on_bodies(runs)
+    weighs = loaded(model)
+    load = on_bodies(runs) if weighs else zeros
 
     def braked(body: str) -> Floats:
         group = layout.coordinate[body]
@@ -107,7 +110,7 @@ def forces_of(
         rubs, other = _friction(model, motion, group, q, v, load, volts, nuisance, body)
         return (rubs + other) / layout.ratio[body]
 
-    for _ in range(LOADED if model.closed and loaded(model) else 0):
+    for _ in range(LOADED if model.closed and weighs else 0):
         load |= loads_of(model, measured, dict(pushes), braked)
     own = {group: np.zeros_like(v) for group, (_, v, _) in measured.items()}
     for body, torque in pushes:
@@ -115,7 +118,7 @@ def forces_of(
             own[group] = own[group] + layout.ratio[body] * torque
     moved = {group: own[group] - plant.inertia[group] * a for group, (_, _, a) in measured.items()}
     moved = put_through(model, moved, runs)
-    for _ in range(LOADED if twists and loaded(model) else 1):
+    for _ in range(LOADED if twists and weighs else 1):
         left = {}
         for group, (q, v, _) in measured.items():
             friction, other = _friction(model, motion, group, q, v, load, volts, nuisance)
@@ -124,7 +127,7 @@ def forces_of(
                 friction = _at_rest(friction, rest, v, motion.rest_share)
             left[group] = rest - friction
         through = carried(model, twists, left)
-        load = on_bodies(runs | through)
+        load = on_bodies(runs | through) if weighs else zeros
     need = {group: own[group] - left[group] for group in own}
     return Forces(measured, own, need, put_through(model, left, through), through, twists)
 
@@ -263,38 +266,98 @@ def _friction(
     Of all its bodies, or of one.
     """
     layout, plant = model.layout, model.plant()
-    friction, other, none = np.zeros_like(v), np.zeros_like(v), np.zeros_like(v)
-    for k, body in enumerate(layout.bodies):
-        if layout.coordinate[body] != group or only not in ("", body):
-            continue
-        r, level = layout.ratio[body], _sliding(motion, v, layout.ratio[body], plant.law[k])
-        acting = [e for e in model.effects if e.on == body]
-        angle, omega = (r * q, r * _nowhere_still(v)) if acting else (q, v)
-        factor: Floats | float = 1.0
-        more: Floats | float = 0.0
-        for effect in acting:
-            chain = PLACED_CATALOGUE[effect.name]
-            theta = angle + nuisance.zero.get(effect.key, 0.0)
-            if chain.site == "friction":
-                moves = theta, omega, motion.time, load[body]
-                scale, added = friction_along([acting_of(effect)], *moves)
-                share = unfolded(effect, omega, motion)
-                factor = factor * (1.0 + share * (scale - 1.0))
-                more = more + share * np.sign(omega) * added
-            elif chain.site in ("motor", "load"):
-                moves = volts.get(body, none), theta, omega, motion.time
-                share = unfolded(effect, omega, motion)
-                other -= r * share * torque_along([acting_of(effect)], *moves)
-        friction += factor * (level + r * more)
-    for k in np.flatnonzero(plant.bristles[:, 0]).tolist():
-        if plant.body_coordinate[k] == group:
-            bristles = plant.bristles[k, 0] / abs(plant.body_ratio[k]), plant.bristles[k, 1]
+    tied = [k for k, b in enumerate(layout.bodies) if layout.coordinate[b] == group]
+    # one body's bristles carry what rubs on all that are tied to it
+    slow = next((k for k in tied if plant.bristles[k, 0]), None)
+    parts = [layout.bodies.index(only)] if only else tied
+    names = [layout.bodies[k] for k in parts]
+    acting = [e for e in model.effects if e.on in names]
+
+    def rub() -> tuple[Floats, Floats]:
+        friction, other = np.zeros_like(v), np.zeros_like(v)
+        for k, body in zip(parts, names, strict=True):
+            r = layout.ratio[body]
+            level = _sliding(motion, v, r, plant.law[k])
+            factor: Floats | float = 1.0
+            more: Floats | float = 0.0
+            for effect in (e for e in acting if e.on == body):
+                site = PLACED_CATALOGUE[effect.name].site
+                if site == "friction":
+                    scale, added = _rubbing(effect, motion, q, v, r, nuisance, load[body])
+                    factor, more = factor * scale, more + r * added
+                elif site in ("motor", "load"):
+                    other -= r * _pushing(effect, motion, q, v, r, nuisance, volts.get(body))
+            friction += factor * (level + more)
+        if slow is not None:
+            bristles = (
+                plant.bristles[slow, 0] / abs(plant.body_ratio[slow]),
+                plant.bristles[slow, 1],
+            )
             begins, travel = np.zeros(1, np.int64), np.gradient(q)
             friction = built_up_along(
-                friction, _nowhere_still(v), travel, begins, bristles, plant.law[k]
+                friction, _nowhere_still(v), travel, begins, bristles, plant.law[slow]
             )
-            break  # one body's bristles carry what rubs on all that are tied to it
-    return friction, other
+        return friction, other
+
+    if any(_by_load(e) for e in acting):
+        return rub()
+    laws = (x.tobytes() for x in (plant.law[tied], plant.body_ratio[tied], plant.bristles))
+    what = (*names, *laws, acting_by(acting, nuisance))
+    pushed = [volts[b] for b in names if b in volts]
+    found: tuple[Floats, Floats] = kept(motion, what, [q, v, *pushed], rub)
+    return found
+
+
+def _turning(motion: Motion, q: Floats, v: Floats, r: float, zero: float) -> tuple[Floats, Floats]:
+    """Angle and speed of a body along a log; the speed has a direction everywhere."""
+    found: tuple[Floats, Floats] = kept(
+        motion, (r, zero), [q, v], lambda: (r * q + zero, r * _nowhere_still(v))
+    )
+    return found
+
+
+def _by_load(effect: Placed) -> bool:
+    """Whether an effect depends on what links carry."""
+    return "mesh_torque" in PLACED_CATALOGUE[effect.name].effect.depends_on
+
+
+def _rubbing(
+    effect: Placed, motion: Motion, q: Floats, v: Floats, r: float, nuisance: Nuisance, load: Floats
+) -> tuple[Floats, Floats]:
+    """Factor on a body's friction, and friction that is added, along a log, (n,) each."""
+
+    def rub() -> tuple[Floats, Floats]:
+        theta, omega = _turning(motion, q, v, r, nuisance.zero.get(effect.key, 0.0))
+        scale, added = friction_along([acting_of(effect)], theta, omega, motion.time, load)
+        share = unfolded(effect, omega, motion)
+        return 1.0 + share * (scale - 1.0), share * np.where(omega > 0.0, added, -added)
+
+    if _by_load(effect):
+        return rub()
+    found: tuple[Floats, Floats] = kept(motion, (r, acting_by([effect], nuisance)), [q, v], rub)
+    return found
+
+
+def _pushing(
+    effect: Placed,
+    motion: Motion,
+    q: Floats,
+    v: Floats,
+    r: float,
+    nuisance: Nuisance,
+    u: Floats | None,
+) -> Floats:
+    """Torque of an effect on a body that moves as measured, along a log, (n,)."""
+
+    def push() -> Floats:
+        theta, omega = _turning(motion, q, v, r, nuisance.zero.get(effect.key, 0.0))
+        signal = np.zeros_like(v) if u is None else u
+        torque = torque_along([acting_of(effect)], signal, theta, omega, motion.time)
+        return np.asarray(unfolded(effect, omega, motion) * torque)
+
+    driven = [] if u is None else [u]
+    found: Floats = kept(motion, (r, acting_by([effect], nuisance)), [q, v, *driven], push)
+    return found
 
 
 def unfolded(effect: Placed, omega: Floats, motion: Motion) -> Floats | float:
@@ -345,16 +408,21 @@ def effective_input(model: RigModel, motion: Motion, name: str) -> Floats:
     The logged signal is held from each sample to the next. It is delayed and lagged, not the
     motion taken back in time: that would amplify the noise of readings.
     """
-    signal = motion.u[name]
-    for effect in model.effects:
-        if effect.on == name and PLACED_CATALOGUE[effect.name].site == "drive":
+    own = [e for e in model.effects if e.on == name and PLACED_CATALOGUE[e.name].site == "drive"]
+    _, dead, tau, limit = model.plant().input_values[model.layout.inputs.index(name)].tolist()
+
+    def act() -> Floats:
+        signal = motion.u[name]
+        for effect in own:
             signal = signal_along([acting_of(effect)], signal, motion.time)
-    j = model.layout.inputs.index(name)
-    _, dead, tau, limit = model.plant().input_values[j]
-    if limit > 0:
-        signal = np.clip(signal, -limit, limit)
-    if dead + tau > 0:
-        before = float(signal[0])
-        signal = delayed_along(signal, dead / motion.dt, before)
-        signal = lagged_along(signal, np.full_like(signal, tau), motion.dt, before)
-    return at_samples(signal, HELD_SPEED if motion.by_speed else HELD_POSITION)
+        if limit > 0:
+            signal = np.clip(signal, -limit, limit)
+        if dead + tau > 0:
+            before = float(signal[0])
+            signal = delayed_along(signal, dead / motion.dt, before)
+            signal = lagged_along(signal, np.full_like(signal, tau), motion.dt, before)
+        return at_samples(signal, HELD_SPEED if motion.by_speed else HELD_POSITION)
+
+    what = (acting_by(own), dead, tau, limit)
+    found: Floats = kept(motion, what, [motion.u[name]], act)
+    return found

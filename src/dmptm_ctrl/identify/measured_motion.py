@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
-from scipy.signal import butter, firwin, freqz, sosfiltfilt, upfirdn, welch
+from scipy.signal import butter, firwin, freqz, sosfiltfilt, welch
 
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.compared_signals import NORMAL_MEDIAN, noise_below
 from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.along import weighted_along
 from dmptm_ctrl.simulate.model import Floats
-from dmptm_ctrl.simulate.rig_model import Layout
+from dmptm_ctrl.simulate.rig_model import Layout, Placed
 
 NOISE_SHARE = 0.05  # of the acceleration may be sensor noise, rms
 MOTION_OVER_BALANCE = 2.0  # bandwidth of the motion over that of the balance
@@ -37,6 +38,7 @@ NO_STAIRS = 0.4  # of the bandwidth; a filter that lets single counts of slow mo
 DUST = 1e-9  # of the range; readings that differ by less are the same
 FEW_STEPS = 5.5  # over which the rounding of a text file is small beside a step
 OFF_GRID = 0.1  # of a step; readings on no grid are off one by a quarter on average
+KEPT = 96  # results per log that fits ask for again
 FLOOR_BAND = 0.4  # of the sample rate; above it the spectrum of a sensor is its noise
 
 
@@ -133,9 +135,7 @@ class Motion:
             boxes //= self.box
             kept = signal[self._inset : self._inset + boxes * self.box]
             sums = kept.reshape(boxes, self.box).sum(axis=1)
-        down = self.step // self.box
-        first = (self.taps.size - 1) // down
-        return upfirdn(self.taps, sums, down=down)[first : first + count]
+        return weighted_along(sums, self.taps, self.step // self.box, count)
 
     def response(self, omega: Floats) -> Floats:
         """Gain of `reduce` at angular frequencies [rad/s], as far as the filter goes."""
@@ -263,14 +263,30 @@ Moves = dict[int, tuple[Floats, Floats, Floats]]  # coordinate -> position, spee
 
 
 def recent(kept: dict[Any, Any], key: Any, make: Callable[[], Any], most: int) -> Any:
-    """Return what was made for a key, or make it; the oldest beyond `most` are forgotten."""
-    found = kept.get(key)
+    """Return what was made for a key, or make it; of more than `most` the oldest are forgotten."""
+    found = kept.pop(key, None)
     if found is None:
         found = make()
         for old in list(kept)[: max(len(kept) - most, 0)]:
             kept.pop(old, None)
-        kept[key] = found
+    kept[key] = found  # what was asked for last is last
     return found
+
+
+def kept(motion: Motion, key: Any, arrays: Sequence[Floats], make: Callable[[], Any]) -> Any:
+    """Return what follows from signals along a motion and a key, or make it.
+
+    Fits ask again and again, while they move other numbers. The signals are kept with it: others
+    in their place in memory would be taken for them.
+    """
+    known = motion.known.setdefault("along", {})
+    whole = (key, *map(id, arrays))
+    return recent(known, whole, lambda: (make(), *arrays), KEPT)[0]
+
+
+def acting_by(effects: Iterable[Placed], nuisance: Nuisance = NONE) -> tuple[Any, ...]:
+    """What effects do along a motion depends on, for :func:`kept`."""
+    return tuple((e.key, nuisance.zero.get(e.key, 0.0), *e.values.items()) for e in effects)
 
 
 def coordinates_of(layout: Layout, sensors: Iterable[str]) -> list[int]:

@@ -12,13 +12,14 @@ Source: paper Eq. 21, in contact.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from functools import cache
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dmptm_ctrl.drive.rig import Link, Rig
-from dmptm_ctrl.identify.measured_motion import Motion, Moves, Nuisance
+from dmptm_ctrl.identify.measured_motion import Motion, Moves, Nuisance, acting_by, kept
 from dmptm_ctrl.simulate.along import acting_of, shift_along, stiffness_along
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
@@ -58,13 +59,21 @@ def _declared(link: Link) -> bool:
 def side_of(model: RigModel, link: str) -> tuple[list[int], float]:
     """Coordinates on the smaller side of a link, and the sign of what the link takes of them."""
     layout, plant = model.layout, model.plant()
-    ends = plant.body_coordinate[plant.link_body]
-    index = layout.links.index(link)
-    side, others = {int(ends[index, 1])}, np.delete(ends, index, axis=0)
-    for _ in range(layout.coordinates):
-        side.update(*(pair for pair in others.tolist() if side & {*pair}))
-    rest = {*range(layout.coordinates)} - side
-    return (sorted(rest), 1.0) if len(rest) < len(side) else (sorted(side), -1.0)
+    ends = tuple(map(tuple, plant.body_coordinate[plant.link_body].tolist()))
+    side, sign = _side(ends, layout.coordinates, layout.links.index(link))
+    return [*side], sign
+
+
+@cache
+def _side(
+    ends: tuple[tuple[int, ...], ...], count: int, index: int
+) -> tuple[tuple[int, ...], float]:
+    """The same of links between coordinates; fits ask again and again."""
+    side, others = {ends[index][1]}, [*ends[:index], *ends[index + 1 :]]
+    for _ in range(count):
+        side.update(*(pair for pair in others if side & {*pair}))
+    rest = {*range(count)} - side
+    return (tuple(sorted(rest)), 1.0) if len(rest) < len(side) else (tuple(sorted(side)), -1.0)
 
 
 def carried(model: RigModel, links: Iterable[str], left: Mapping[int, Any]) -> dict[str, Any]:
@@ -89,22 +98,28 @@ def twist_of(
     """Twist of a link with its errors of teeth, its rate, half-gap and stiffness, (n,) each."""
     layout, plant = model.layout, model.plant()
     k = layout.links.index(name)
-    ratio, stiffness, _, _, half_gap = plant.link_values[k]
-    ends = []
-    for b in plant.link_body[k].tolist():
-        q, v, _ = measured[int(plant.body_coordinate[b])]
-        ends.append((plant.body_ratio[b] * q, plant.body_ratio[b] * v))
-    near, far = ends
-    z = near[0] - ratio * (far[0] + nuisance.twist.get(name, 0.0)) - motion.zero.get(name, 0.0)
-    own = [
-        acting_of(e) for e in model.shifted(nuisance.zero).effects
-        if e.on == name and PLACED_CATALOGUE[e.name].site == "mesh"
-    ]  # fmt: skip
-    wider, stiffer = np.zeros(1), np.zeros(1)
-    if own:
-        shift, wider = shift_along(own, near, far)
-        z, stiffer = z + shift, stiffness_along(own, near, far)
-    return z, near[1] - ratio * far[1], half_gap + wider, stiffness + stiffer
+    ratio, stiffness, _, _, half_gap = plant.link_values[k].tolist()
+    own = [e for e in model.effects if e.on == name and PLACED_CATALOGUE[e.name].site == "mesh"]
+    bodies = plant.link_body[k].tolist()
+    turns = [float(plant.body_ratio[b]) for b in bodies]
+    moves = [measured[int(plant.body_coordinate[b])][:2] for b in bodies]
+    start = nuisance.twist.get(name, 0.0), motion.zero.get(name, 0.0)
+
+    def turn() -> tuple[Floats, Floats, Floats, Floats]:
+        near, far = ((r * q, r * v) for r, (q, v) in zip(turns, moves, strict=True))
+        z = near[0] - ratio * (far[0] + start[0]) - start[1]
+        wider, stiffer = np.zeros(1), np.zeros(1)
+        if own:
+            keys = {e.key for e in own}
+            turned = model.shifted(nuisance.zero).effects
+            acting = [acting_of(e) for e in turned if e.key in keys]
+            shift, wider = shift_along(acting, near, far)
+            z, stiffer = z + shift, stiffness_along(acting, near, far)
+        return z, near[1] - ratio * far[1], wider, stiffer
+
+    what = name, ratio, *turns, *start, acting_by(own, nuisance)
+    z, rate, wider, stiffer = kept(motion, what, [x for pair in moves for x in pair], turn)
+    return z, rate, half_gap + wider, stiffness + stiffer
 
 
 def missing(

@@ -27,7 +27,7 @@ from dmptm_ctrl.diagnosis.rig_state import (
     with_standing_on,
 )
 from dmptm_ctrl.diagnosis.rig_tangent import Trial
-from dmptm_ctrl.diagnosis.select import NEAR, ranked
+from dmptm_ctrl.diagnosis.select import NEAR, evidence_per_gain, ranked
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.free_parameters import (
@@ -53,7 +53,7 @@ from dmptm_ctrl.simulate.placed_effects import BACKLASH, PLACED_CATALOGUE
 
 SETTLE = 30  # iterations at most; an unsettled fit would lend its gain to the next effect
 FIRST = 6  # iterations of a candidate's fit
-FITTED = 4  # candidates that are fitted at each look; the others are judged to first order
+FITTED = 1  # candidates that are fitted at each look; others where they are as good to first order
 STRUCTURES = SHAFT_COMPLIANCE.name, BACKLASH.name
 
 
@@ -115,9 +115,10 @@ class RigEvidence:
             return max((c.evidence for c in judged if c.acceptable), default=0.0)
 
         # none is chosen that was not fitted, and few could be
+        most = evidence_per_gain(self.ratio(state))
         rough: list[Candidate] = []
         for trial in steps[FITTED:]:
-            if self._most(state) * trial.gain < best() - NEAR:
+            if most * trial.gain < best() - NEAR:
                 weaker = self._plain((trial,), state.fit)
                 rough.append(replace(weaker, gain=trial.gain, objection="others explain more"))
                 continue
@@ -129,10 +130,6 @@ class RigEvidence:
         if best() == 0.0 and self.idle:
             judged += self._structures(state, only={*self.idle})
         return [*judged, *ranked(rough)]
-
-    def _most(self, state: RigState) -> float:
-        """Evidence per gain on the fitted logs, at most: held-out ones tell no more by rows."""
-        return 1.0 + max(1.0 / self.ratio(state), 1.0)
 
     def _structures(
         self, state: RigState, only: Collection[str] | None = None, left_out: Collection[str] = ()
@@ -157,7 +154,7 @@ class RigEvidence:
     def _first_order(self, state: RigState, trial: Trial) -> Candidate:
         """Judge a candidate after one step of the model's parameters, by their known slopes."""
         there, fit = trial.placed_in(state.fit.state), state.fit
-        gain, most = trial.gain, self._most(state)
+        gain, most = trial.gain, evidence_per_gain(self.ratio(state))
         if most * gain < LEVEL and trial.columns:
             gain = max(gain, state.tangent.bounded_gain(trial.columns))
         if most * gain < LEVEL:

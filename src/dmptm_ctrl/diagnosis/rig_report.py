@@ -191,7 +191,7 @@ def report_of(
     nearest = (best.variable,) if best else ()
     # after a few impacts a free run is chance; "none" is told by the balance and short predictions
     judged = errors if effects else replace(errors, runs=short.usual)
-    loose = parted(final.fit.model, final.held)
+    loose = parted(final.fit)
     more = bool(loose) or curve_share(final, curves) >= 1.0 - EXPLAINED
     verdict = verdict_of(judged, bool(effects), more)
     torn = (f"{link}: no stiffness fits these logs; the fit leaves hardly any" for link in loose)

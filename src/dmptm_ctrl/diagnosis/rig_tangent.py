@@ -86,7 +86,9 @@ class Tangent:
         state = replace(self.fit.state, model=model.with_values(known))
         rest = [f for f in self.fit.frees if f.label not in known]
         like = self.fit.likelihood
-        return Tangent(fit_rig(state, self.balance, frees=rest, iterations=LOOK, like=like))
+        near = None if self.balance.bends(model) else self.fit
+        fit = fit_rig(state, self.balance, frees=rest, iterations=LOOK, like=like, near=near)
+        return Tangent(fit)
 
     @cached_property
     def weights(self) -> Floats:

@@ -367,21 +367,40 @@ def other_way(
     A fit that begins with one effect may bend all others to it, so that an effect which acts
     alike is not found beside it; begun with the rival, it is.
     """
-    own = selection.known[(key,)].plainness
-    for rival in (r for r in rivals if r.acceptable):
+    own, able = selection.known[(key,)], [r for r in rivals if r.acceptable]
+    worth = beside_each(evidence, without, own, able) if able else []
+    for rival, more in zip(able, worth, strict=True):
+        ahead = 0.0 if rival.plainness < own.plainness else NEAR
+        better = rival.evidence > sum(gains) + ahead
+        if not better and more < LEVEL:
+            continue
         first = evidence.adopt(without, rival)
         if impossible(evidence, without, first, rival.keys):
             continue
-        ahead = 0.0 if rival.plainness < own else NEAR
-        if rival.evidence > sum(gains) + ahead:
+        if better:
             return first
         for second in evidence.candidates(first, [key]):
             if second.acceptable:
                 both, new = evidence.adopt(first, second), (*rival.keys, key)
-                better = beyond_need(evidence, state, both) > 0.0
-                if better and not impossible(evidence, without, both, new):
+                needed_both = beyond_need(evidence, state, both) > 0.0
+                if needed_both and not impossible(evidence, without, both, new):
                     return both
     return None
+
+
+def beside_each(
+    evidence: Evidence, without: State, one: Candidate, others: Sequence[Candidate]
+) -> list[float]:
+    """Evidence of each of others beside an effect, to first order and at most, (others,)."""
+    joint = JointGain(evidence.rows(without, [one, *others]))
+    alone = joint.bounded((one.keys,))
+    most = evidence_per_gain(evidence.ratio(without))
+    return [most * (joint.bounded((one.keys, c.keys)) - alone) for c in others]
+
+
+def evidence_per_gain(ratio: float) -> float:
+    """Evidence per gain on the fitted logs, at most: held-out ones tell no more by rows."""
+    return 1.0 + max(1.0 / ratio, 1.0)
 
 
 def impossible(evidence: Evidence, without: State, state: State, keys: Keys) -> bool:

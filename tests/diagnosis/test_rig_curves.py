@@ -7,13 +7,15 @@ from types import SimpleNamespace
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from tests.diagnosis.test_rig_evidence import prepared
+from tests.diagnosis.test_rig_evidence import logs_of, prepared
 from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.diagnosis.html import evidence
 from dmptm_ctrl.diagnosis.rig_curves import _clock, accepted, curves, torques_of, variables_of
+from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
 from dmptm_ctrl.diagnosis.rig_figures import folded
+from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.plots.diagnosis import plot_evidence
 
 KINDS = (("multisine", 6.0), ("sine", 5.0), ("chirp", 4.0))
@@ -116,6 +118,20 @@ def test_picture_of_what_comes_again_each_turn_is_over_one_turn():
     assert made.variable == "position of motor [rad], over a turn"
     assert 6.0 < angle.max() < 2.0 * np.pi
     assert 2.0 * np.mean(odd * np.cos(angle)) == pytest.approx(0.02, rel=0.2)
+
+
+def test_picture_of_a_wave_is_over_one_of_its_periods():
+    """Cogging of 7 per turn over many turns: each bin of a turn would hold a part of a wave."""
+    bench = Bench(Machine(fc=0.02, cog=0.01, order=7.0), (("multisine", 5.0),), 20.0, 1e-3)
+    rig = parse_rig(bench.rig(), "rig.toml")
+    found = diagnose_rig(logs_of(bench, rig), rig, jobs=1)
+    wave = next(e for e in found.effects if e.name == "cogging")
+    made = found.source.evidence(wave, ())
+    assert made.variable.endswith(", over one wave")
+    for curve in made.before.values():
+        assert curve.x.max() < 2.0 * np.pi / 7.0
+        swing = 2.0 * np.mean(curve.mean * np.exp(7j * curve.x))
+        assert abs(swing) == pytest.approx(0.01, rel=0.1)
 
 
 def test_nothing_where_nothing_is_missing():

@@ -101,7 +101,7 @@ class RigSource:
             entry.without if entry else self.selection.base,
             self.selection.final,
             variable_of(self.augmented, key) if effect else next(iter(depends_on), ""),
-            effect.name if effect else "",
+            key,
             torque_unit(self.rig),
             self.curve if depends_on and not effect else None,
         )

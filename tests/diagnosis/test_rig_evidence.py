@@ -585,3 +585,22 @@ def test_runs_through_impacts_are_compared_by_what_is_expected():
     assert np.std(expected) < 0.75 * np.std(single)
     smooth = State(model)
     assert runs.missed(smooth) == runs.agreement(runs.run(smooth))["rmse"]
+
+
+def test_runs_between_detents_are_compared_by_what_is_expected():
+    """Which tooth holds a motor where it turns back is chance, in the last digit of the cogging."""
+    bench = Bench(Machine(fc=0.03, cog=0.05, order=24.0), (("sine", 3.0),), 10.0, 2e-3)
+    rig = parse_rig(bench.rig(), "rig.toml")
+    model = RigModel(rig).with_values({"body.motor.viscous": 3e-4})
+    model = model.with_effect(Placed("coulomb_friction", "motor", {"level": 0.03}))
+    logs = logs_of(bench, rig)
+    runs = Runs.none_yet(rig, logs, balance_of(rig, logs).part("held-out"), 1)
+
+    def missed(share):
+        wave = {"cosine": 0.05 * (1.0 + share), "sine": 0.0, "order": 24.0}
+        state = State(model.with_effect(Placed("cogging", "motor", wave)))
+        return runs.agreement(runs.run(state))["rmse"], runs.missed(state)
+
+    single, expected = np.transpose([missed(k * 1e-8) for k in range(12)])
+    assert np.std(single) > 1e-3 * np.mean(single)
+    assert np.std(expected) < 0.75 * np.std(single)

@@ -165,8 +165,7 @@ def test_bldc_by_a_sine_of_current_its_second_half_held_out(tmp_path):
     p = next(e for e in found.effects if e.name == "cogging").parameters
     assert p["order"]["value"] == 72
     assert 0.17 < p["amplitude"]["value"] < 0.23  # A, by the README
-    # at each reversal the rotor is held by one tooth or the next: free runs are 4 to 7 % off
-    assert found.error["after"]["speed"]["fit_percent"] > 92.0
+    assert found.error["after"]["speed"]["fit_percent"] > 94.0
     assert found.error["after"]["horizon"]["fit_percent"] > 98.0
     assert found.error["after"]["torque"]["percent"] < 8.0
 

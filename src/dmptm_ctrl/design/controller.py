@@ -14,13 +14,14 @@ from dmptm_ctrl.control.pi import pi_controller, sampled_pi
 from dmptm_ctrl.control.sections import in_series, notch, sampled_notch
 from dmptm_ctrl.design.draws import slow_friction
 from dmptm_ctrl.drive.parameters import physical
+from dmptm_ctrl.drive.rig_units import input_symbol
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import write_atomic
 from dmptm_ctrl.signals.numbers import finite_numbers
 from dmptm_ctrl.signals.toml_text import read_toml
 from dmptm_ctrl.simulate.any_model import default_loop
 from dmptm_ctrl.simulate.law import Design, Law
-from dmptm_ctrl.simulate.model_file import begun, input_symbol, model_of, model_text, with_unit
+from dmptm_ctrl.simulate.model_file import begun, model_of, model_text, with_unit
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 KIND = "speed controller"

@@ -15,11 +15,11 @@ from dmptm_ctrl.diagnosis.candidate import Candidate, name_of
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.rig_runs import Runs
 from dmptm_ctrl.diagnosis.select import Entry, Selection
+from dmptm_ctrl.drive.rig_units import input_symbol
 from dmptm_ctrl.identify.compared_signals import low_pass
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Floats
-from dmptm_ctrl.simulate.model_file import input_symbol
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import march as march_rig
 

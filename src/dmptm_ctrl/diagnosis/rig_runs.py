@@ -116,7 +116,7 @@ class Runs:
         return done if all(np.isfinite(run).all() for run in done) else None
 
     def expected(self, state: State) -> list[Floats] | None:
-        """Return the mean of runs with slightly other teeth; the run where no link has a gap."""
+        """Return the mean of runs with slightly other teeth and waves; without any, the run."""
         own = self.run(state)
         others = with_other_teeth(state.model.opened) if own is not None else []
         several = [own, *(self.run(replace(state, model=model)) for model in others)]

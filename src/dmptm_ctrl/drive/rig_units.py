@@ -8,8 +8,8 @@ from typing import Any
 import pint
 
 from dmptm_ctrl.drive.parameters import Quantity
-from dmptm_ctrl.drive.rig import DEFAULT_TOLERANCE, unknown
-from dmptm_ctrl.signals.units import COUNTS, one_of, plain
+from dmptm_ctrl.drive.rig import DEFAULT_TOLERANCE, Rig, unknown
+from dmptm_ctrl.signals.units import COUNTS, one_of, parse_unit, plain
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _TEXT = re.compile(
@@ -205,3 +205,18 @@ def _checked(found: Quantity, positive: bool) -> Quantity:
     if positive and found.value < 0:
         raise UnitError(f"{found.value:g} {found.unit} is negative")
     return found
+
+
+def unit_at(on: str, rig: Rig, unit: str) -> str:
+    """Unit of an effect's parameter where it stands: an input's signal need not be a voltage."""
+    if all(source.name != on for source in rig.inputs):
+        return unit
+    symbol = input_symbol(rig, on)
+    return unit.replace("V", f"({symbol})" if unit == "1/V" and "·" in symbol else symbol)
+
+
+def input_symbol(rig: Rig, name: str) -> str:
+    """SI unit of an input's signal; of a number what the rig file calls it, or its column."""
+    source = next(i for i in rig.inputs if i.name == name)
+    called = source.column if source.unit.strip() in ("", "1") else source.unit
+    return parse_unit(source.unit).symbol or called

@@ -1,6 +1,7 @@
 """Free run of a chain on a log: what the sensors would have read."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from math import ceil
 
@@ -10,15 +11,15 @@ from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.observer import observer_gains, rigid_observer
 from dmptm_ctrl.simulate.plant import untwisted
-from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 from dmptm_ctrl.simulate.rig_run import MAX_SUBSTEPS, RigRun, march, substeps_for
 
 START = 12  # samples from which the first position and speed are taken
 MANY = 4  # samples or fewer tell no speed; the start counts as at rest
 SURE = 3.0  # standard errors; slower at the start is at rest
 TWINS = 8  # drives beside a fitted one, whose scatter no fit can remove
-# Standard deviation of how stiffness and damping of meshes change, which decide when teeth leave
-# their flank; no fit knows them more finely.
+# Standard deviation of how stiffness and damping of meshes, which decide when teeth leave their
+# flank, and waves change; no fit knows them more finely.
 SPREAD = 0.003
 
 
@@ -160,17 +161,28 @@ def readings(model: RigModel, log: Log, run: RigRun) -> dict[str, Floats]:
 
 
 def with_other_teeth(model: RigModel) -> list[RigModel]:
-    """Return models whose links with a gap differ slightly; none where no link has one.
+    """Return models that differ slightly where links have a gap, and in waves; else none.
 
-    After impacts each run is chance, down to the last digit of the arithmetic. A gap in a spring
-    that was added to the declared model stays as it is.
+    After impacts each run is chance, down to the last digit of the arithmetic, and so is which
+    wave of cogging holds a body. A gap in a spring that was added to the declared model stays.
     """
     gaps = zip(model.layout.links, model.plant().link_gap, strict=True)
     keys = [f"link.{n}.{part}" for n, gap in gaps if gap > 0 for part in ("stiffness", "damping")]
     keys = [key for key in keys if key in model.quantities]
+    waves = [e for e in model.effects if "order" in e.values and e.on in model.layout.coordinate]
     rng = np.random.default_rng(0)
-    shares = 1.0 + SPREAD * rng.standard_normal((TWINS, len(keys)))
-    return [
-        model.with_values({k: s * model.value(k) for k, s in zip(keys, row, strict=True)})
-        for row in (shares.tolist() if keys else ())
-    ]
+    shares = 1.0 + SPREAD * rng.standard_normal((TWINS, len(keys) + len(waves)))
+    found = []
+    for row in shares.tolist() if keys or waves else ():
+        near = model.with_values({k: s * model.value(k) for k, s in zip(keys, row, strict=False)})
+        of = dict(zip((e.key for e in waves), row[len(keys) :], strict=True))
+        found.append(
+            replace(near, effects=tuple(_sized(e, of.get(e.key, 1.0)) for e in near.effects))
+        )
+    return found
+
+
+def _sized(effect: Placed, by: float) -> Placed:
+    """Return an effect with its wave so many times as high."""
+    high = {n: by * v for n, v in effect.values.items() if n in ("cosine", "sine")}
+    return effect._replace(values={**effect.values, **high})

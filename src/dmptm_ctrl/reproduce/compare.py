@@ -13,6 +13,7 @@ from dmptm_ctrl.control import common_mode
 from dmptm_ctrl.design.linear import linear_plant
 from dmptm_ctrl.drive import Drive, baseline_drive, nine_dof_ss, paper_drive, three_dof_ss
 from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.drive.rig_units import input_symbol
 from dmptm_ctrl.drive.state_space import step_info
 from dmptm_ctrl.plots.linear import bode_compare, step_compare
 from dmptm_ctrl.plots.style import axes
@@ -21,7 +22,7 @@ from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.any_model import inputs_of
 from dmptm_ctrl.simulate.linear import linearize
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.model_file import input_symbol, read_model
+from dmptm_ctrl.simulate.model_file import read_model
 
 UNDAMPED = 1e-9  # damping ratio that is rounding
 MOTORS, SPEED = "one voltage on both motors", "speed of the ring gear"

@@ -10,14 +10,13 @@ from typing import Any
 import tomlkit
 
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.drive.rig_dual import dual_motor
+from dmptm_ctrl.drive.rig_units import unit_at
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.numbers import finite_numbers
 from dmptm_ctrl.signals.toml_text import parse_toml, read_toml
-from dmptm_ctrl.signals.units import parse_unit
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
@@ -47,21 +46,6 @@ def with_unit(value: float, unit: str) -> tomlkit.items.Item:
     item = tomlkit.item(float(value))
     item.comment(unit or "1")
     return item
-
-
-def unit_at(on: str, rig: Rig, unit: str) -> str:
-    """Unit of an effect's parameter where it stands: an input's signal need not be a voltage."""
-    if all(source.name != on for source in rig.inputs):
-        return unit
-    symbol = input_symbol(rig, on)
-    return unit.replace("V", f"({symbol})" if unit == "1/V" and "·" in symbol else symbol)
-
-
-def input_symbol(rig: Rig, name: str) -> str:
-    """SI unit of an input's signal; of a number what the rig file calls it, or its column."""
-    source = next(i for i in rig.inputs if i.name == name)
-    called = source.column if source.unit.strip() in ("", "1") else source.unit
-    return parse_unit(source.unit).symbol or called
 
 
 def rig_model_to_toml(model: RigModel) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from dmptm_ctrl.contract import Effect, Parameter
 from dmptm_ctrl.drive.rig import DeclaredEffect, Rig
 from dmptm_ctrl.drive.rig_tables import TableReader
+from dmptm_ctrl.drive.rig_units import unit_at
 from dmptm_ctrl.effects import backlash, effect_of
 from dmptm_ctrl.effects.load_dependent_friction import body_load_friction
 from dmptm_ctrl.simulate.plant import CALLED, Floats, Place
@@ -233,8 +234,6 @@ def place_of(rig: Rig, declared: DeclaredEffect) -> str:
     if chain.place == "body" and rig.body(on).linear and chain.effect.wave and "order" not in has:
         fail("on", f"{name} goes with a turn, and {on} slides; a constant load is drive_offset")
     if not any(p in declared.values for p in chain.amplitudes):
-        from dmptm_ctrl.simulate.model_file import unit_at
-
         there = chain._replace(
             keep=tuple(p._replace(unit=unit_at(on, rig, p.unit)) for p in chain.keep)
         )

@@ -25,15 +25,18 @@ def rig():
     return load_rig(PAPER)
 
 
-def log_of(model: RigModel) -> tuple[Log, np.ndarray]:
-    """A log of slow turns without noise, and the torque of the left mesh."""
-    time = DT * np.arange(8000)
-    wave = 0.9 + 0.25 * np.sin(2 * np.pi * 0.7 * time) + 0.1 * np.sin(2 * np.pi * 2.3 * time)
+TIME = DT * np.arange(8000)
+TURNS = 0.9 + 0.25 * np.sin(2 * np.pi * 0.7 * TIME) + 0.1 * np.sin(2 * np.pi * 2.3 * TIME)
+SWINGS = 0.9 * np.sin(2 * np.pi * 0.4 * TIME) + 0.4 * np.sin(2 * np.pi * 1.7 * TIME)
+
+
+def log_of(model: RigModel, wave: np.ndarray = TURNS) -> tuple[Log, np.ndarray]:
+    """A log of slow turns, or of another voltage, without noise; the torque of the left mesh."""
     u = np.array([wave, 0.8 * wave])
     run = march(model, u, DT)
     channels = {"in_left": u[0], "in_right": u[1]}
     channels |= {"out_encoder": run.reading("encoder"), "out_gyro": run.reading("gyro")}
-    return Log("turns", time, channels), run.link("left")
+    return Log("turns", TIME, channels), run.link("left")
 
 
 def test_balance_closes_without_a_run_while_teeth_touch(rig):
@@ -56,19 +59,12 @@ def test_balance_closes_without_a_run_while_teeth_touch(rig):
 
 def test_rows_do_not_hang_on_the_digits_of_a_gap(rig):
     model = RigModel(rig)
-    log, _ = log_of(model)
-    time = log.time
-    swings = 0.9 * np.sin(2 * np.pi * 0.4 * time) + 0.4 * np.sin(2 * np.pi * 1.7 * time)
-    u = np.array([swings, 0.8 * swings])
-    run = march(model, u, DT)
-    channels = {"in_left": u[0], "in_right": u[1]}
-    channels |= {"out_encoder": run.reading("encoder"), "out_gyro": run.reading("gyro")}
-    log, balance = Log("swings", time, channels), None
-    found = []
+    log, _ = log_of(model, SWINGS)
+    balance, found = balance_of(rig, [log]), []
     for digit in (0.0, 1e-9, -1e-9, 1e-8):
         gap = (1.0 + digit) * model.value("link.left.half_gap")
         near = model.with_values({"link.left.half_gap": gap})
-        balance = touching(balance or balance_of(rig, [log]), near, [log])
+        balance = touching(balance, near, [log])
         found.append(balance.motions[0].moving)
     some = np.any(found, axis=0)
     assert some.sum() > 50

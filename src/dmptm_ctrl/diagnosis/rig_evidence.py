@@ -53,7 +53,6 @@ from dmptm_ctrl.simulate.placed_effects import BACKLASH, PLACED_CATALOGUE
 
 SETTLE = 30  # iterations at most; an unsettled fit would lend its gain to the next effect
 FIRST = 6  # iterations of a candidate's fit
-FITTED = 1  # candidates that are fitted at each look; others where they are as good to first order
 STRUCTURES = SHAFT_COMPLIANCE.name, BACKLASH.name
 
 
@@ -99,14 +98,14 @@ class RigEvidence:
     def candidates(self, state: RigState, only: Sequence[str] | None = None) -> list[Candidate]:
         """Fit every effect that balances can show beside a model.
 
-        The few that explain most are fitted; the others are judged to first order. Springs and gaps
-        that were not asked for are tried again where nothing else is.
+        The one that explains most is fitted, and others that are as good to first order. Springs
+        and gaps that were not asked for are tried again where nothing else is.
         """
         if only is not None:
             named = [self._fitted(state, (t,), FIRST) for t in trials(state.tangent, only)]
             return [*named, *self._structures(state, only)]
         steps = sorted(state.trials, key=lambda t: -t.gain)
-        judged = [self._fitted(state, (t,), FIRST) for t in steps[:FITTED]]
+        judged = [self._fitted(state, (t,), FIRST) for t in steps[:1]]
         if not state.keys:
             self.idle.clear()
         judged += self._structures(state, left_out={*self.idle})
@@ -117,7 +116,7 @@ class RigEvidence:
         # none is chosen that was not fitted, and few could be
         most = evidence_per_gain(self.ratio(state))
         rough: list[Candidate] = []
-        for trial in steps[FITTED:]:
+        for trial in steps[1:]:
             if most * trial.gain < best() - NEAR:
                 weaker = self._plain((trial,), state.fit)
                 rough.append(replace(weaker, gain=trial.gain, objection="others explain more"))

@@ -1,6 +1,5 @@
 """Residual of a rig file's balance, folded over what an effect depends on."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -38,10 +37,11 @@ def folded(
     speed = next(s for name, s in signals.items() if name.startswith("omega"))
     name = _measured(final, signals, variable)
     factor, label = _label(final.fit.model.rig, name)
-    waves = [e for e in final.fit.model.effects if e.key in members(effect) and _turns(e)]
-    period = curve.period if curve else _period(final, waves, name)
+    wave = _wave(final, effect, name)
+    order = wave.values["order"] if wave else 0.0
+    period = curve.period if curve else 2.0 * np.pi / order if order else 0.0
     by_itself = curve is not None and curve.kind == "hysteresis"
-    if period and waves and _turns(waves[0]) != 1.0:
+    if order not in (0.0, 1.0):
         label += ", over one wave"
     elif period:
         label += f", over {'a turn' if name != 'time' else f'a period of {period:.3g} s'}"
@@ -58,8 +58,8 @@ def folded(
                 use = motion.moving
                 x, way = (motion.reduce(s(motion)) for s in (signals[name], speed))
                 way = np.gradient(x) if by_itself else way
-                if period and waves:  # encoders that start anywhere see it from zeros of their own
-                    x = x + zeros.nuisance(motion.name).zero.get(waves[0].key, 0.0)
+                if wave:  # encoders that start anywhere see it from zeros of their own
+                    x = x + zeros.nuisance(motion.name).zero.get(wave.key, 0.0)
                 x = x % period if period else x
                 found.append((x[use] / factor, part[0][use], np.sign(way[use]), news))
         return found
@@ -68,16 +68,11 @@ def folded(
     return replace(made, ways=("rising", "falling")) if by_itself else made
 
 
-def _turns(effect: Placed) -> float:
-    """Waves of an effect per turn of its body; 0 where it has none."""
-    return effect.values.get("order", 0.0)
-
-
-def _period(state: RigState, waves: Sequence[Placed], name: str) -> float:
-    """Angle of a variable's body after which a wave comes again; 0 if it is no angle of it."""
-    if not waves or name != variable_of(state.fit.model, waves[0].key):
-        return 0.0
-    return 2.0 * np.pi / _turns(waves[0])
+def _wave(state: RigState, effect: str, name: str) -> Placed | None:
+    """Return an effect at its first place if it comes again by a variable: its body's angle."""
+    keys, model = members(effect), state.fit.model
+    waves = (e for e in model.effects if e.key in keys and e.values.get("order"))
+    return next((e for e in waves if variable_of(model, e.key) == name), None)
 
 
 def _measured(state: RigState, signals: dict[str, Any], variable: str) -> str:

@@ -15,7 +15,7 @@ from dmptm_ctrl.diagnosis.budget import (
     error_entry,
     verdict_of,
 )
-from dmptm_ctrl.diagnosis.candidate import LEVEL, members, name_of
+from dmptm_ctrl.diagnosis.candidate import FIRM, LEVEL, members, name_of
 from dmptm_ctrl.diagnosis.experiment import rig_experiment
 from dmptm_ctrl.diagnosis.negligible import material_together
 from dmptm_ctrl.diagnosis.ranking import ranking_of
@@ -33,12 +33,11 @@ from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.free_parameters import on_slide
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
 from dmptm_ctrl.identify.rig_fit import RigFit
-from dmptm_ctrl.identify.rig_start import parted
 from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
-from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel, link_inertias
 
 if TYPE_CHECKING:
     from dmptm_ctrl.plots.diagnosis import Evidence, Overlay
@@ -191,7 +190,7 @@ def report_of(
     nearest = (best.variable,) if best else ()
     # after a few impacts a free run is chance; "none" is told by the balance and short predictions
     judged = errors if effects else replace(errors, runs=short.usual)
-    loose = parted(final.fit)
+    loose = _parted(final.fit)
     more = bool(loose) or curve_share(final, curves) >= 1.0 - EXPLAINED
     verdict = verdict_of(judged, bool(effects), more)
     torn = (f"{link}: no stiffness fits these logs; the fit leaves hardly any" for link in loose)
@@ -354,6 +353,22 @@ def _spring(
             "unit": counted_unit(model.rig, "kg" if slide else "kg·m²"),
         },
     }  # fmt: skip
+
+
+def _parted(fit: RigFit) -> list[str]:
+    """Links of unknown stiffness that a fit leaves hardly any: not different from 0 by its errors.
+
+    A link that is too stiff to be told is none: its mode lies above the band.
+    """
+    model, found = fit.model, []
+    for link in (k for k in model.rig.links if k.stiffness and not isfinite(k.stiffness.value)):
+        key = f"link.{link.name}.stiffness"
+        stiffness = model.value(key)
+        square = stiffness * sum(1.0 / inertia for inertia in link_inertias(model, link.name))
+        in_band = square < (2.0 * np.pi * fit.likelihood.balance.bandwidth) ** 2
+        if in_band and stiffness < FIRM * fit.errors.get(key, 0.0):
+            found.append(link.name)
+    return found
 
 
 def counted_unit(rig: Rig, unit: str) -> str:

@@ -54,22 +54,22 @@ def touching(balance: "Balance", model: RigModel, logs: Iterable[Log]) -> "Balan
     """Leave out when followed links are open in runs of a model on the logs."""
     if not balance.closed:
         return balance
-    named = {log.name: log for log in logs}
+    named, several = {log.name: log for log in logs}, [model.opened]
+    several += with_other_teeth(model.opened)
     return replace(
         balance,
         motions=tuple(
-            replace(m, apart=_apart(balance.closed, model.opened, named[m.name])[m.samples])
+            replace(m, apart=_apart(balance.closed, several, named[m.name])[m.samples])
             for m in balance.motions
         ),
     )
 
 
-def _apart(closed: frozenset[str], model: RigModel, log: Log) -> Floats:
+def _apart(closed: frozenset[str], models: Iterable[RigModel], log: Log) -> Floats:
     """Share of runs in which a followed link does not touch, or did not lately, (n,).
 
     Of runs with slightly other teeth: when they meet is chance after some impacts.
     """
-    models = [model, *with_other_teeth(model)]
     return np.asarray(np.mean([_open(closed, one, log) for one in models], axis=0))
 
 

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
-from scipy.signal import butter, firwin, freqz, sosfiltfilt, welch
+from scipy.signal import butter, firwin, freqz, sosfiltfilt, upfirdn, welch
 
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.compared_signals import NORMAL_MEDIAN, noise_below
 from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.along import weighted_along
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import Layout, Placed
 
@@ -38,7 +37,7 @@ NO_STAIRS = 0.4  # of the bandwidth; a filter that lets single counts of slow mo
 DUST = 1e-9  # of the range; readings that differ by less are the same
 FEW_STEPS = 5.5  # over which the rounding of a text file is small beside a step
 OFF_GRID = 0.1  # of a step; readings on no grid are off one by a quarter on average
-KEPT = 96  # results per log that fits ask for again
+KEPT = 48  # results per log that fits ask for again
 FLOOR_BAND = 0.4  # of the sample rate; above it the spectrum of a sensor is its noise
 
 
@@ -135,7 +134,9 @@ class Motion:
             boxes //= self.box
             kept = signal[self._inset : self._inset + boxes * self.box]
             sums = kept.reshape(boxes, self.box).sum(axis=1)
-        return weighted_along(sums, self.taps, self.step // self.box, count)
+        down = self.step // self.box
+        first = (self.taps.size - 1) // down
+        return upfirdn(self.taps, sums, down=down)[first : first + count]
 
     def response(self, omega: Floats) -> Floats:
         """Gain of `reduce` at angular frequencies [rad/s], as far as the filter goes."""

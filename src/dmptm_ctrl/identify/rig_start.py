@@ -18,7 +18,6 @@ STIFFER = 1.5, 3.0  # times the stiffness that was fitted
 LOOK = 6  # iterations of each such start; the best is fitted to the end
 WIDER = 0.75, 1.3  # times the gap that was fitted
 LOWEST_MODE = 0.03  # of the bandwidth
-CLEAR = 3.0  # standard errors; a stiffness of less is none
 HIGHEST_MODE = 1.5
 DAMPING_RATIO = 0.05
 GAP_SHARES = tuple(np.linspace(0.05, 0.98, 32))  # of half the range of twists, tried
@@ -155,22 +154,6 @@ def spring_values(model: RigModel, link: str, spring: Spring) -> dict[str, float
     if damping is not None and not isfinite(damping.value):
         values[f"link.{link}.damping"] = spring.damping
     return values
-
-
-def parted(fit: RigFit) -> list[str]:
-    """Links of unknown stiffness that a fit leaves hardly any: not different from 0 by its errors.
-
-    A link that is too stiff to be told is none: its mode lies above the band.
-    """
-    model, found = fit.model, []
-    for link in (k for k in model.rig.links if k.stiffness and not isfinite(k.stiffness.value)):
-        key = f"link.{link.name}.stiffness"
-        stiffness = model.value(key)
-        square = stiffness * sum(1.0 / inertia for inertia in link_inertias(model, link.name))
-        in_band = square < (2.0 * np.pi * fit.likelihood.balance.bandwidth) ** 2
-        if in_band and stiffness < CLEAR * fit.errors.get(key, 0.0):
-            found.append(link.name)
-    return found
 
 
 Ends = tuple[tuple[str, float], tuple[str, float]]  # point and factor of its motion, near and far

@@ -103,21 +103,6 @@ def stops(x, half, out):
 
 
 @njit
-def weighted(x, weights, step, out):
-    for i in range(out.size):
-        a, b, c, d = 0.0, 0.0, 0.0, 0.0  # sums that do not wait for each other
-        first, fours = i * step, weights.size // 4 * 4
-        for j in range(0, fours, 4):
-            a += weights[j] * x[first + j]
-            b += weights[j + 1] * x[first + j + 1]
-            c += weights[j + 2] * x[first + j + 2]
-            d += weights[j + 3] * x[first + j + 3]
-        for j in range(fours, weights.size):
-            a += weights[j] * x[first + j]
-        out[i] = (a + b) + (c + d)
-
-
-@njit
 def lagged(aim, tau, dt, before, out):
     state = before
     if (tau == tau[0]).all():  # an exponential is taken once
@@ -166,7 +151,7 @@ def _loop(effect: Effect, call: str) -> ModuleType:
 
 @cache
 def _signals() -> ModuleType:
-    text = compiled(_HEAD + _SIGNALS, "law_along", "built_up", "stops", "lagged", "weighted")
+    text = compiled(_HEAD + _SIGNALS, "law_along", "built_up", "stops", "lagged")
     return load(f"along_{key_of(text, _MODULES, ())}", text)
 
 
@@ -311,11 +296,4 @@ def lagged_along(aim: Floats, tau: Floats, dt: float, before: float) -> Floats:
     """Mean over each sample of what relaxes to a held aim within `tau` [s], (n,) each."""
     out = np.empty_like(aim)
     _signals().lagged(aim, tau, dt, before, out)
-    return out
-
-
-def weighted_along(x: Floats, weights: Floats, step: int, count: int) -> Floats:
-    """Weighted sums of a signal, one every `step` samples, (count,)."""
-    out = np.empty(count)
-    _signals().weighted(np.ascontiguousarray(x), weights, step, out)
     return out

@@ -28,6 +28,7 @@ from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, provenance
 from dmptm_ctrl.diagnosis.select import Entry, Selection
+from dmptm_ctrl.diagnosis.summary import with_amplitudes
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.fit import Fit, drive_unknowns, effect_unknowns, position
@@ -95,7 +96,9 @@ def made(verdict):
                 "unbalance",
                 "ring gear",
                 0.93,
-                {k: {"value": v, "se": 0.1, "unit": "N·m"} for k, v in values.items()},
+                with_amplitudes(
+                    {k: {"value": v, "se": 0.1, "unit": "N·m"} for k, v in values.items()}
+                ),
                 ("cable_spring",),
                 "Adding it helps.",
                 0.7,
@@ -318,6 +321,17 @@ def test_the_sentence_says_what_the_budget_says(diagnosis):
         "unknown; it depends on theta_L",
     }[diagnosis.verdict] in told
     assert "nothing is missing" not in diagnosis.summary()
+
+
+def test_a_wave_has_its_amplitude():
+    """Of a cosine C and a sine S it is √(C² + S²); errors add as squares, weighted by C and S."""
+    diagnosis = made("explained")
+    assert "\n  amplitude = 6.708 ± 0.1 N·m\n" in diagnosis.summary()  # √(6² + 3²)
+    assert "ring gear (amplitude 6.71 N·m)" in html.action(diagnosis)
+    left = {k: {"value": v, "se": 0.0, "unit": "rad"} for k, v in
+            {"left_cosine": 3.0, "left_sine": 4.0, "order": 6.0}.items()}  # fmt: skip
+    assert with_amplitudes(left)["left_amplitude"]["value"] == 5.0
+    assert [*with_amplitudes(left)] == ["left_cosine", "left_sine", "order", "left_amplitude"]
 
 
 @pytest.mark.parametrize(("times", "unknown"), [(1.4, False), (2.0, True)])

@@ -13,6 +13,7 @@ from dmptm_ctrl.diagnosis.predict import speeds
 from dmptm_ctrl.diagnosis.ranking import best_of, ranking_of
 from dmptm_ctrl.diagnosis.report import UNNAMED, NamedEffect, Picture, estimate
 from dmptm_ctrl.diagnosis.select import Entry, Selection
+from dmptm_ctrl.diagnosis.summary import with_amplitudes
 from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.effects import CATALOGUE, TABLES
@@ -137,7 +138,7 @@ def named(entry: Entry, after: Fit, share: float) -> NamedEffect:
         effect.name,
         effect.location,
         entry.probability,
-        parameters,
+        with_amplitudes(parameters),
         tuple(name_of(key) for key in entry.confusable_with),
         sentence + ".",
         share,

@@ -55,7 +55,7 @@ signals = np.full((plant.ninputs, time.size), 0.6)  # of the inputs, SI
 response = dm.simulate(model, time, signals)  # ct.TimeResponseData
 """
 NORMAL_95 = 1.96  # standard errors on either side that hold 95 %
-TOLD = 3  # values of an effect that the action tells
+SHOWN = 3  # effects, and values of each, that the action names
 CORRELATED = 0.9  # from here on two parameters are told apart badly
 MOST_LOGS = 6  # that are drawn
 
@@ -122,7 +122,7 @@ def action(diagnosis: "Diagnosis") -> str:
     if diagnosis.verdict == "unknown":
         first = f"Look for the cause on the rig. With model.toml {fall}."
     else:
-        where = "; ".join(f"{e.location} ({sizes(e.parameters)})" for e in material[:TOLD])
+        where = "; ".join(f"{e.location} ({sizes(e.parameters)})" for e in material[:SHOWN])
         first = f"Look at: {where}. " if where else ""
         first += f"Use model.toml for control design: {fall}."
     if rivals:
@@ -131,9 +131,13 @@ def action(diagnosis: "Diagnosis") -> str:
 
 
 def sizes(parameters: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the first values of an effect, with their units."""
-    told = [f"{words(k)} {number(p['value'])} {p['unit']}".rstrip() for k, p in parameters.items()]
-    return ", ".join(told[:TOLD]) + (", …" if len(told) > TOLD else "")
+    """Return the first values of an effect, with their units; of a wave its amplitude."""
+    texts = [
+        f"{words(k)} {number(p['value'])} {p['unit']}".rstrip()
+        for k, p in parameters.items()
+        if not k.endswith(("cosine", "sine"))
+    ]
+    return ", ".join(texts[:SHOWN]) + (", …" if len(texts) > SHOWN else "")
 
 
 def detectable(row: Mapping[str, Any]) -> str:

@@ -26,7 +26,7 @@ from dmptm_ctrl.diagnosis.rig_runs import Runs, variable_of
 from dmptm_ctrl.diagnosis.rig_state import RigState, of_teeth
 from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.diagnosis.sensors import SENSOR_PROBABILITY, SensorFault
-from dmptm_ctrl.diagnosis.summary import correlated
+from dmptm_ctrl.diagnosis.summary import correlated, with_amplitudes
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.drive.rig_units import input_symbol, unit_at
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
@@ -288,7 +288,9 @@ def _sensor_effect(fault: SensorFault) -> NamedEffect:
         fault.placed.name,
         fault.placed.on,
         SENSOR_PROBABILITY,
-        {k: {"value": v, "se": errors[k], "unit": units[k]} for k, v in values.items()},
+        with_amplitudes(
+            {k: {"value": v, "se": errors[k], "unit": units[k]} for k, v in values.items()}
+        ),
         (),
         f"Sensors of one motion disagree by it by {sure:.0f} standard errors, whatever the "
         "drive does.",
@@ -314,11 +316,7 @@ def effect_parameters(effect: Placed, fit: RigFit) -> dict[str, dict[str, Any]]:
         error = se.get(p.name, 0.0)
         unit = counted_unit(model.rig, unit)
         found[p.name] = {"value": value * scale, "se": error * scale, "unit": unit}
-    if "cosine" in found and "sine" in found:
-        c, s = found["cosine"], found["sine"]
-        size = sqrt(c["value"] ** 2 + s["value"] ** 2)
-        error = sqrt((c["value"] * c["se"]) ** 2 + (s["value"] * s["se"]) ** 2) / (size or 1.0)
-        found["amplitude"] = {"value": size, "se": error, "unit": c["unit"]}
+    found = with_amplitudes(found)
     if effect.name == SHAFT_COMPLIANCE.name:
         found |= _spring(effect, model, se, slide)
     return found

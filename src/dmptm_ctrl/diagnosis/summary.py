@@ -3,6 +3,7 @@
 import platform
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from math import hypot
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,19 @@ def shown_names(declared: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
         else key
         for key in declared
     }
+
+
+def with_amplitudes(parameters: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return an effect's parameters, and the amplitude of each wave of a cosine and a sine."""
+    found = dict(parameters)
+    for name, c in parameters.items():
+        wave = name.removesuffix("cosine")
+        s = parameters.get(f"{wave}sine")
+        if wave != name and s is not None:
+            size = hypot(c["value"], s["value"])
+            error = hypot(c["value"] * c["se"], s["value"] * s["se"]) / (size or 1.0)
+            found[f"{wave}amplitude"] = {"value": size, "se": error, "unit": c["unit"]}
+    return found
 
 
 def parameter_lines(declared: Mapping[str, Mapping[str, Any]]) -> list[str]:

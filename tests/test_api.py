@@ -135,8 +135,19 @@ def test_drives_and_rigs_print_as_tables():
     assert dmptm_ctrl.Diagnosis.__str__ is dmptm_ctrl.Diagnosis.summary
 
 
-def test_listed_names_exist():
+def test_listed_names_exist_and_have_these_arguments():
     assert set(re.findall(r"^\| `(\w+)", API, re.MULTILINE)) == set(dmptm_ctrl.__all__[1:])
+    for name, arguments in re.findall(r"^\| `(\w+)\((.*?)\)`", API, re.MULTILINE):
+        listed = [a.partition("=")[0] for a in arguments.split(", ") if a not in ("", "…")]
+        taken = [*inspect.signature(getattr(dmptm_ctrl, name)).parameters]
+        assert listed == taken[: len(listed)], name
+
+
+def test_help_shows_no_address_of_an_object():
+    for name in dmptm_ctrl.__all__[1:]:
+        found = getattr(dmptm_ctrl, name)
+        if inspect.isfunction(found):
+            assert " at 0x" not in str(inspect.signature(found)), name
 
 
 def test_public_function_stays_beside_a_subpackage_of_its_name():
@@ -281,6 +292,11 @@ def test_step_of_a_run_counts_from_where_the_setpoint_moves():
     assert found["SteadyStateValue"] == pytest.approx(5.0 / 7.0, rel=1e-3)
     with pytest.raises(ValueError, match="^no output 'omega_L'; the run has w, motor$"):
         dmptm_ctrl.step_info(run, "omega_L")
+    both = dmptm_ctrl.three_dof(outputs=("omega_L", "omega_ml"), inputs="voltage")
+    one = dmptm_ctrl.common_mode(both, "omega_ml")
+    assert dmptm_ctrl.step_info(one, "omega_ml") == dmptm_ctrl.step_info(one)
+    with pytest.raises(ValueError, match="^no output 'omega_L'; the model has omega_ml$"):
+        dmptm_ctrl.step_info(one, "omega_L")
     many = dmptm_ctrl.simulate(rig, time, np.sin(time))
     with pytest.raises(ValueError, match="^the inputs of the run change 4000 times, a step"):
         dmptm_ctrl.step_info(many)
@@ -366,6 +382,20 @@ def test_an_inertia_that_may_be_zero(tmp_path):
         (lambda m: dmptm_ctrl.multisine(m, [], 0.5), ValueError, "no frequencies; give at least"),
         (lambda m: dmptm_ctrl.stepped_sine(m, [], 0.5), ValueError, "no frequencies; give at"),
         (lambda m: dmptm_ctrl.Log("a", ONE, [ONE]), TypeError, "channels of a Log must be a map"),
+        (lambda m: dmptm_ctrl.constant_speed(m.drive, m.drive), TypeError, "logs must be a seq"),
+        (
+            lambda m: dmptm_ctrl.margins(dmptm_ctrl.three_dof(), 5.0, 90.0, sample_time=-1.0),
+            ValueError,
+            "sample_time is -1; it must be more than 0 and finite",
+        ),
+        (lambda m: dmptm_ctrl.multisine(m, [5.0], 0.5, period=np.inf), ValueError, "period is inf"),
+        (lambda m: dmptm_ctrl.multisine(m, [5.0], 0.5, seed=-1), ValueError, "seed is -1; it must"),
+        (lambda m: dmptm_ctrl.linearize(m, None, [0.1, np.nan]), ValueError, "u0 of a Model has a"),
+        (
+            lambda m: dmptm_ctrl.tune_controller(m, input="left"),
+            ValueError,
+            "input and sensor are those of a rig",
+        ),
     ],
 )
 def test_what_is_empty_or_of_another_kind_is_refused_in_one_sentence(call, error, said):
@@ -435,3 +465,9 @@ def test_linear_models_and_pictures_refuse_other_shapes_in_one_sentence():
             draw({"own": plant})
         with pytest.raises(ValueError, match="^no systems to draw"):
             draw({})
+    systems = {"own": dmptm_ctrl.common_mode(plant)}
+    for limits in ([1.0], [2.0, 1.0], [0.0, 1.0]):
+        with pytest.raises(ValueError, match=r"^omega_limits are .*; they must be two numbers"):
+            dmptm_ctrl.bode_compare(systems, omega_limits=limits)
+    with pytest.raises(TypeError, match="^ax must be matplotlib's Axes"):
+        dmptm_ctrl.bode_compare(systems, ax=(1, 2))

@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
 from inspect import Parameter, Signature, signature
+from math import inf
 from numbers import Integral, Real
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
@@ -23,6 +24,8 @@ _SAID: dict[Any, str] = {
 _SAID |= {Sequence: "a sequence", Iterable: "a sequence", dict: "a dict"}
 _SAID |= {ArrayLike: "an array", Callable: "a function"}
 _ARRAY = {*get_args(ArrayLike)}
+# parameters of a size, whichever function has them
+_POSITIVE = {"sample_time", "duration", "period", "periods", "runs", "substeps", "every"}
 _Class = TypeVar("_Class", bound=type)
 
 
@@ -46,7 +49,7 @@ def refuse_wrong_call(
     """Compare a call's arguments with what a function's signature and annotations name.
 
     TypeError for arguments that the signature does not take; or for one of another kind: which,
-    what it must be, what it is. ValueError for a number that is none.
+    what it must be, what it is. ValueError for a number that is none, or of no possible size.
     """
     try:
         wanted.bind_partial(*args, **options)  # an unknown name before one that is missing
@@ -67,6 +70,10 @@ def refuse_wrong_call(
             raise TypeError(f"{name}: {key} must be {right}, not {what}")
         if isinstance(value, Real) and value != value:
             raise ValueError(f"{name}: {key} is NaN; it must be a number")
+        if key in _POSITIVE and isinstance(value, Real) and not 0.0 < float(value) < inf:
+            raise ValueError(f"{name}: {key} is {value:g}; it must be more than 0 and finite")
+        if key == "seed" and value < 0:
+            raise ValueError(f"{name}: seed is {value}; it must be 0 or more")
 
 
 def _kinds(annotation: Any) -> tuple[Any, ...]:
@@ -95,7 +102,7 @@ def _fits(value: Any, kind: Any) -> bool:
             listed = value[:1]
         each = _kinds(get_args(kind)[0])
         inside = all(any(_fits(x, k) for k in each) for x in listed)
-        return inside and isinstance(value, Iterable) and not isinstance(value, str)
+        return inside and isinstance(value, Iterable) and not isinstance(value, str | Mapping)
     if origin is dict:
         each = _kinds(get_args(kind)[1])
         return isinstance(value, dict) and all(

@@ -90,7 +90,7 @@ def diagnose(
 
         progress.stage("reading and diagnosing the logs")
         paths = logs[0] if len(logs) == 1 else logs
-        result = run(paths, rig, jobs=jobs, seed=seed, tell=progress.stage)
+        result = run(paths, rig, jobs=jobs, seed=seed, progress=progress.stage)
         progress.stage("writing the report")
         result.save(out)
         for warning in result.warnings:

@@ -210,6 +210,8 @@ def tune_controller(
         aims = aims or rig_aims(model, input, sensor)
         plant = linear_rig(level(model), input, sensor, aims.duty.sample_time)
     else:
+        if input or sensor:
+            raise ValueError("input and sensor are those of a rig; a Model has one loop")
         aims = aims or Aims()
         plant = linear_plant(level(model))
     start = fastest_pi(plant, **aims.linear())

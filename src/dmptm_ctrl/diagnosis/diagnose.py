@@ -38,7 +38,7 @@ from dmptm_ctrl.simulate.model import Model
 
 @small_matrices
 def diagnose_dual(
-    logs: Campaign, declared: Drive, jobs: int, seed: int, tell: Callable[[str], None]
+    logs: Campaign, declared: Drive, jobs: int, seed: int, say: Callable[[str], None]
 ) -> Diagnosis:
     """Find what the declared model of a dual-motor drive lacks; see :func:`~.run.diagnose`.
 
@@ -55,8 +55,8 @@ def diagnose_dual(
             measured = measured.started(model)
         base = DualState(residual(measured, model, jobs=jobs))
         evidence = DualEvidence(measured, tuple(sensors.values), jobs)
-        selection = without_negligible(evidence, select_effects(evidence, base, tell), rise)
-        selection = with_short_predictions(evidence, selection, tell)
+        selection = without_negligible(evidence, select_effects(evidence, base, say), rise)
+        selection = with_short_predictions(evidence, selection, say)
         left = of_windows(selection.final.left)
         rest = unexplained(base.left, left, sum(e.evidence for e in selection.entries))
         rest, tables = in_tables(left, rest, jobs) if rest is not None else (None, None)

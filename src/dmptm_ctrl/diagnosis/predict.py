@@ -98,7 +98,7 @@ def expected(
 def predict(
     model: Model | RigModel | Rig, log: Log | str | PathLike[str], *, runs: int = RUNS
 ) -> pd.DataFrame:
-    """Predict a log: columns of contract `dmptm predict`, one row per row of the log.
+    """Predict the sensors of a log from its inputs, one row per row of the log.
 
     Parameters
     ----------
@@ -107,8 +107,8 @@ def predict(
         Its inputs are used, and its first positions. Sensors of a rig that are not in it start
         at zero and at rest.
     runs : int
-        As for :func:`free_run`; with 1 the rattle is there as one run has it. Of a rig it is
-        one always.
+        The mean of so many runs with slightly other meshes; 1 keeps the impact chatter of one
+        run. Of a rig it is always 1.
 
     Returns
     -------

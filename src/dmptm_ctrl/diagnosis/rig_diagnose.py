@@ -61,7 +61,7 @@ def diagnose_rig(
     *,
     seed: int = 0,
     jobs: int = 2,
-    tell: Callable[[str], None] = lambda _: None,
+    say: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """Find what the declared model of a rig lacks; see :func:`~.run.diagnose`."""
     started = time.perf_counter()
@@ -71,7 +71,7 @@ def diagnose_rig(
     read = declared.read(logs, max_rows=READ_ROWS, told=left_out)
     loaded, warnings = screen_rig(declared, read)
     warnings = (*left_out, *warnings)
-    tell("comparing the sensors")
+    say("comparing the sensors")
     faults = sensor_faults(declared, loaded)
     right = [put_right(declared, log, faults) for log in loaded]
     balance, short = _long_enough(balance_of(declared, right))
@@ -83,7 +83,7 @@ def diagnose_rig(
     strange = other_scale(declared, balance)
     if strange and all(link.rigid for link in declared.links):
         raise LogError(strange)
-    tell("fitting the declared model")
+    say("fitting the declared model")
     model = RigModel(declared, closed=balance.closed, ranged=True)
     balance, evidence, base = _fitted(model, balance, right, jobs)
     _, held_logs, held_names, on = split(declared, balance)
@@ -94,7 +94,7 @@ def diagnose_rig(
         more = rise(without, final)
         return inf if more < NEGLIGIBLE and told(without, final) else more
 
-    selection = _selected(evidence, base, tell)
+    selection = _selected(evidence, base, say)
     base, last = selection.base, selection.final
     if last.logs is not base.logs:  # other rows count by now
         base = evidence.refit(base, last.logs, last.held)
@@ -105,7 +105,7 @@ def diagnose_rig(
     selection = without_negligible(evidence, selection, helps)
     if not selection.entries:  # what was found on the way and went may have left another fit
         selection = replace(selection, final=base)
-    tell("fitting to short predictions")
+    say("fitting to short predictions")
     settled = selection.final
     selection = replace(
         selection,
@@ -113,7 +113,7 @@ def diagnose_rig(
         final=ahead(settled),
         entries=[replace(e, without=ahead(e.without)) for e in selection.entries],
     )
-    tell("looking for curves in what is left")
+    say("looking for curves in what is left")
     found = curves(selection.final)
     floor = predicted(selection.final, found)
     at_floor = within_floor(selection, floor)
@@ -145,21 +145,21 @@ def diagnose_rig(
     )
 
 
-def _selected(evidence: RigEvidence, base: RigState, tell: Callable[[str], None]) -> Selection:
+def _selected(evidence: RigEvidence, base: RigState, say: Callable[[str], None]) -> Selection:
     """Select effects beside declared values in their ranges, or free where that is plainer.
 
     Values that leave their ranges take up what an effect does, and effects what a value does that
     is declared wrong. Where values explain more than the best effect, or still something beside all
     effects, both are looked at. Each value outside counts as one effect.
     """
-    kept, loose = select_effects(evidence, base, tell), evidence.free(base)
+    kept, loose = select_effects(evidence, base, say), evidence.free(base)
     best = max((c.evidence for c in kept.first if c.acceptable), default=0.0)
     if sum(evidence.gains(base, loose)) <= max(best, LEVEL):
         last = kept.final
         if beyond_need(evidence, last, evidence.free(last)) <= 0.0:
             return kept
-    tell("declared values would leave their ranges: looking again with them free")
-    free = select_effects(evidence, loose, tell)
+    say("declared values would leave their ranges: looking again with them free")
+    free = select_effects(evidence, loose, say)
     last = kept.final
     if last.logs is not free.final.logs:
         last = evidence.refit(last, free.final.logs, free.final.held)

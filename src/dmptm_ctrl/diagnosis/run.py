@@ -33,7 +33,7 @@ def diagnose(
     *,
     jobs: int = 2,
     seed: int = 0,
-    tell: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
     """Find what a declared drive lacks, and what each part of it is worth.
 
@@ -46,8 +46,8 @@ def diagnose(
         Threads. The result does not depend on it.
     seed : int
         Kept in the provenance.
-    tell : callable
-        Hears what is being done.
+    progress : callable, optional
+        Is called with the name of each stage, ``print`` for instance.
 
     Returns
     -------
@@ -65,18 +65,19 @@ def diagnose(
     >>> print(found.summary())
     >>> found.save("result")
     """
+    say = progress or (lambda _: None)
     if rig is None or isinstance(rig, Drive):
         given = logs if isinstance(logs, Campaign) else load_logs(logs, max_rows=READ_ROWS)
-        return diagnose_dual(given, rig or paper_drive(), jobs, seed, tell)
+        return diagnose_dual(given, rig or paper_drive(), jobs, seed, say)
     declared = load_rig(rig) if isinstance(rig, str | PathLike) else rig
     drive = dual_motor(declared)
     if drive is None:
-        return diagnose_rig(logs, declared, jobs=jobs, seed=seed, tell=tell)
+        return diagnose_rig(logs, declared, jobs=jobs, seed=seed, say=say)
     columns = dual_columns(declared)
     left_out: list[str] = []
     read = declared.read(logs, columns=columns, max_rows=READ_ROWS, told=left_out)
     campaign = Campaign(read, tuple(left_out))
-    return diagnose_dual(campaign, drive, jobs, seed, tell)
+    return diagnose_dual(campaign, drive, jobs, seed, say)
 
 
 def predict_file(

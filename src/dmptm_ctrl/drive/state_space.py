@@ -66,11 +66,11 @@ def step_info(system: ct.StateSpace | ct.TimeResponseData, output: str = "") -> 
     Parameters
     ----------
     system : StateSpace or TimeResponseData
-        A model with one input and one output, continuous and stable. Or a run whose inputs
+        A model with one input, continuous and stable. Or a run whose inputs
         change once: time and output count from there. Under a loop ``omega_L`` ends at the
         setpoint; else an output ends at its last value.
     output : str, optional
-        Of a run; by default ``omega_L``, else its first.
+        By default the only one of a model; ``omega_L`` of a run, else its first.
 
     Returns
     -------
@@ -81,8 +81,8 @@ def step_info(system: ct.StateSpace | ct.TimeResponseData, output: str = "") -> 
     Raises
     ------
     ValueError
-        Several inputs or outputs, sampled, or a pole that does not decay. Of a run, an output
-        that it does not have, or inputs that change more than once.
+        An output that is not there, several inputs or outputs, sampled, or a pole that does not
+        decay. Of a run, inputs that change more than once.
 
     Examples
     --------
@@ -96,6 +96,11 @@ def step_info(system: ct.StateSpace | ct.TimeResponseData, output: str = "") -> 
     """
     if isinstance(system, ct.TimeResponseData):
         return _of_run(system, output)
+    if output:
+        if output not in system.output_labels:
+            known = ", ".join(system.output_labels)
+            raise ValueError(f"no output {output!r}; the model has {known}")
+        system = system[output, system.input_labels]
     decay = -system.poles().real
     if not system.issiso() or not system.isctime() or (decay <= 0.0).any():
         raise ValueError("a step response needs one input, one output, and poles that decay")

@@ -44,13 +44,21 @@ def bode_compare(
     -------
     ControlPlot
 
+    Raises
+    ------
+    ValueError
+        No system, one with several inputs or outputs, or limits that are no band.
+
     Examples
     --------
     >>> plot = dm.bode_compare({"3-DOF": dm.common_mode(dm.three_dof(dm.paper_drive()))})
     """
     _refuse_other(systems)
     panels = axes(ax, 2, figsize=(6.5, 5.2), sharex=True)
-    low, high = (0.1, 1e3) if omega_limits is None else omega_limits
+    limits = (0.1, 1e3) if omega_limits is None else tuple(omega_limits)
+    if not (len(limits) == 2 and 0.0 < limits[0] < limits[1] < np.inf):
+        raise ValueError(f"omega_limits are {limits}; they must be two numbers, 0 < low < high")
+    low, high = limits
     per_unit = 2 * np.pi if Hz else 1.0
     omega = per_unit * np.geomspace(low, high, 4000)  # a resonance of ζ = 0.003 has ten points
     plot = None
@@ -110,6 +118,11 @@ def step_compare(
     Returns
     -------
     ControlPlot
+
+    Raises
+    ------
+    ValueError
+        No system, or one with several inputs or outputs.
 
     Examples
     --------

@@ -37,6 +37,8 @@ def axes(
         panels = figure.subplots(rows, columns, squeeze=False, **options)
     else:
         panels = np.array([ax] if isinstance(ax, Axes) else ax, dtype=object)
+        if not all(isinstance(panel, Axes) for panel in panels.ravel()):
+            raise TypeError("ax must be matplotlib's Axes, or an array of them")
         if panels.size != rows * columns:
             raise ValueError(f"{panels.size} axes given, {rows * columns} are needed")
         panels = panels.reshape(rows, columns)

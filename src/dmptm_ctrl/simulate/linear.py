@@ -230,7 +230,10 @@ def _shaped(name: str, values: Any, shape: tuple[int]) -> Floats:
     if isinstance(values, Mapping) or np.shape(values) != shape:
         given = "a mapping" if isinstance(values, Mapping) else f"of shape {np.shape(values)}"
         raise ValueError(f"{name} of a Model is {given}; it must be an array of shape {shape}")
-    return np.asarray(values, float)
+    array = np.asarray(values, float)
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} of a Model has a value that is not finite")
+    return array
 
 
 def _late(model: RigModel, system: ct.StateSpace) -> ct.StateSpace:

@@ -92,7 +92,7 @@ def test_experiment_is_in_degrees():
     )
     np.testing.assert_allclose(panel.lines[0].get_ydata(), 10 * time)
     np.testing.assert_allclose(panel.lines[1].get_ydata(), 9 * time)
-    assert "RMSE 0.50 °/s" in panel.get_legend().get_texts()[1].get_text()
+    assert "RMSE 0.50 deg/s" in panel.get_legend().get_texts()[1].get_text()
 
 
 def test_friction_keeps_the_sign_of_the_speed():

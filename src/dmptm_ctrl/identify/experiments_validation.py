@@ -35,10 +35,10 @@ EXPERIMENTS: Mapping[str, tuple[str, str, float, float]] = {
     "3b": ("open_sine_0v75", "0.75 sin(2πt) V", 97.47, 99.67),
     "3c": ("open_square_0v60", "0.6 square(0.8πt) V", 99.14, 99.68),
     "3d": ("open_square_0v75", "0.75 square(0.8πt) V", 99.30, 99.73),
-    "4a": ("closed_sine_10", "10 sin(πt) °/s", 98.53, 99.17),
-    "4b": ("closed_sine_15", "15 sin(2πt) °/s", 98.13, 98.66),
-    "4c": ("closed_square_10", "10 square(πt) °/s", 92.77, 94.42),
-    "4d": ("closed_square_15", "15 square(2πt) °/s", 82.75, 83.70),
+    "4a": ("closed_sine_10", "10 sin(πt) deg/s", 98.53, 99.17),
+    "4b": ("closed_sine_15", "15 sin(2πt) deg/s", 98.13, 98.66),
+    "4c": ("closed_square_10", "10 square(πt) deg/s", 92.77, 94.42),
+    "4d": ("closed_square_15", "15 square(2πt) deg/s", 82.75, 83.70),
 }
 # Each half is judged with a fit on the other; the multisine under preload is in both fits.
 HALVES = (("3a", "3c", "4a", "4c"), ("3b", "3d", "4b", "4d"))

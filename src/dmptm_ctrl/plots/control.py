@@ -36,7 +36,9 @@ def plot_tuning(tuned: Any, *, ax: Axes | None = None) -> Axes:
         xlabel=f"rms tracking error [{tuned.unit}]",
         ylabel=f"share of {errors.size} drawn plants below [%]",
     )
-    panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)))
+    low, high = panel.get_xlim()
+    few, many = (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+    panel.xaxis.set_major_locator(LogLocator(subs=few if high > 10.0 * low else many))
     panel.xaxis.set_major_formatter("{x:g}")
     panel.xaxis.set_minor_formatter(NullFormatter())
     panel.legend(loc="best", fontsize=9)

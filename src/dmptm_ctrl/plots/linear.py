@@ -171,7 +171,7 @@ def response_plot(
     lines: dict[str, Any] = {**responses, **(reference or {})}
     reach = np.concatenate([np.asarray(r[0].omega) for r in responses.values()])
     first = next(iter(responses.values()))[0]
-    ratio = f"{first.output_labels[0]} / {first.input_labels[0]} [{'dB, SI' if dB else 'SI'}]"
+    title = title or f"{first.output_labels[0]} / {first.input_labels[0]}"
     for (label, item), style in zip(lines.items(), cycle(SEQUENCE), strict=False):
         style = {**style, **(styles or {}).get(label, {})}
         seen: Any = 1.0
@@ -190,7 +190,7 @@ def response_plot(
         gain = np.abs(values)
         magnitude.plot(hz, 20 * np.log10(gain) if dB else gain, label=label, **style)
         phase.plot(hz, np.degrees(np.unwrap(np.angle(values))), **style)
-    magnitude.set(ylabel=ratio, title=title, xscale="log")
+    magnitude.set(ylabel=f"gain [{'dB, SI' if dB else 'SI'}]", title=title, xscale="log")
     phase.set(ylabel="phase [deg]", xscale="log")
     coherent.set(ylabel="coherence", xlabel="frequency [Hz]", ylim=(0.0, 1.05), xscale="log")
     if not dB:

@@ -35,7 +35,7 @@ def experiment_plot(
         label = name
         if scores is not None:
             _, fit, rmse = scores[name]
-            label = f"{name}\nFIT {fit:.1f} %\nRMSE {np.degrees(rmse):.2f} °/s"
+            label = f"{name}\nFIT {fit:.1f} %\nRMSE {np.degrees(rmse):.2f} deg/s"
         panel.plot(time, np.degrees(speed), label=label, **STYLES.get(name, STYLES["other"]))
     panel.set(xlabel="time [s]", ylabel="speed [deg/s]", title=title)
     panel.set_xlim(time[0], time[-1])

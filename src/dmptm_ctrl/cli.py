@@ -119,10 +119,10 @@ def predict(
     from dmptm_ctrl.diagnosis.run import predict_file
     from dmptm_ctrl.signals.atomic import write_atomic
 
-    told: list[str] = []
-    content, errors = predict_file(log, model, single=single, told=told)
+    notes: list[str] = []
+    content, errors = predict_file(log, model, single=single, notes=notes)
     write_atomic(out, content)
-    for text in told:
+    for text in notes:
         Progress().warn(text)
     print(f"{printable(errors)}\nwritten to {out}")
 
@@ -206,7 +206,7 @@ def experiment(
     signals: Annotated[Path, typer.Argument(help="next_experiment.csv of diagnose.")],
     to: Annotated[str, typer.Option(help="csv, c or st (IEC 61131-3).")] = "csv",
     out: _Out = Path("experiment"),
-    model: Annotated[Path | None, typer.Option(help="model.toml: tells speed, travel.")] = None,
+    model: Annotated[Path | None, typer.Option(help="model.toml: for speed, travel.")] = None,
     max_signal: Annotated[float, typer.Option(help="Of an input [V or SI].")] = float("inf"),
     max_speed: Annotated[float, typer.Option(help="Of the load [rad/s or m/s].")] = float("inf"),
     max_travel: Annotated[float, typer.Option(help="Of the load [rad or m].")] = float("inf"),
@@ -333,7 +333,7 @@ def log_info(
         Path | None, typer.Option(help="rig.toml: says what the columns are; else their names do.")
     ] = None,
 ) -> None:
-    """Show what is in a log, and what it can and cannot tell."""
+    """Show what is in a log, and what it can and cannot identify."""
     from dmptm_ctrl.signals.info import describe, describe_file
 
     if rig is None:

@@ -67,7 +67,7 @@ class Progress:
 
 
 def show_info(info: "LogInfo", *, declared: bool = True) -> None:
-    """Print what is in a log, and what it can and cannot tell; `declared`: by a rig file."""
+    """Print what is in a log, and what it can and cannot identify; `declared`: by a rig file."""
     from rich.console import Console
     from rich.table import Table
 
@@ -99,8 +99,8 @@ def show_info(info: "LogInfo", *, declared: bool = True) -> None:
     if not declared:
         console.print("\nThe columns are those of the dual-motor drive; so are these effects.")
     can = [row.effect for row in info.testable if row.testable]
-    console.print(f"\n[bold]Can tell about[/bold] {', '.join(can) or 'nothing'}")
-    console.print("[bold]Cannot tell about[/bold]")
+    console.print(f"\n[bold]Can identify[/bold] {', '.join(can) or 'nothing'}")
+    console.print("[bold]Cannot identify[/bold]")
     lacking = Table("effect", "lacks", box=None)
     for row in info.testable:
         if not row.testable:

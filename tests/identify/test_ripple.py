@@ -127,7 +127,7 @@ def test_logs_without_noise_or_without_calm_tell_nothing_wrong():
     still = np.zeros((2, n)), angle, speed, twist, np.zeros(6), DT * np.arange(n)
     rec = Record("still", DT, *still)
     ripple = Ripple(motion(rec, model))
-    assert ripple.tells
+    assert ripple.usable
     assert np.abs(ripple.missing(model.plant())).max() < 1e-9
     assert np.isfinite(ripple.colour).all()
     np.testing.assert_array_equal(order_gains([], 5), np.zeros(5))

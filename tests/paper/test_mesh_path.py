@@ -77,5 +77,5 @@ def test_apart_where_the_rate_changes_in_the_gap():
 
 def test_no_damping_at_all():
     bare = LAW._replace(damping=0.0, gap_damping=0.0)
-    with pytest.raises(ValueError, match="nothing tells where in its gap"):
+    with pytest.raises(ValueError, match="an undamped tooth has no place in its gap"):
         along_path(lambda t: 0.0, lambda t: 0.0, 1.0, bare)

@@ -9,7 +9,7 @@ import pytest
 from tests.rig_files.test_report import BENCH, diagnosed
 
 from dmptm_ctrl.cli import main
-from dmptm_ctrl.diagnosis.predict import errors_told
+from dmptm_ctrl.diagnosis.predict import errors_text
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.rig_model import RigModel
@@ -76,12 +76,12 @@ def test_errors_of_a_prediction_are_in_the_unit_of_the_sensor():
         'unit = "counts"\ncounts_per_rev = 4096\n[sensor.tacho]\ncolumn = "w"\nunit = "rpm"\n'
     )
     table = pd.DataFrame({"n": [1.0, 2.0], "w": [3.0, 4.0]})
-    told = errors_told(RigModel(parse_rig(text)), table, {"n": np.array([0.0, 3.0])})
+    told = errors_text(RigModel(parse_rig(text)), table, {"n": np.array([0.0, 3.0])})
     assert told.splitlines() == [
         f"n: rms error {2 * np.pi / 4096:.3g} rad against the log",
         "w: in rpm, not in the log",
     ]
-    told = errors_told(
+    told = errors_text(
         Model(), pd.DataFrame({"omega_L_deg_s": [2.0]}), {"omega_L_deg_s": np.ones(1)}
     )
     assert "omega_L_deg_s: rms error 1 deg/s against the log" in told

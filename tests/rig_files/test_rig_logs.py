@@ -151,7 +151,7 @@ ignore = ["run_d", "*.bak"]
 start = { "run_a.csv" = "100 ms", run_y = 1 }
 """
     rig, told = parse_rig(RIG + more), []
-    logs = rig.read(tmp_path, told=told)
+    logs = rig.read(tmp_path, notes=told)
     assert [log.name for log in logs] == ["run_a", "run_b", "run_c"]
     assert [len(log) for log in logs] == [100, 200, 200]
     assert rig.roles(["run_a", "run_b", "run_c"]) == {

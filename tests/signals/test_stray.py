@@ -65,7 +65,7 @@ def folder(tmp_path, files, logs=("run_a", "run_b")):
 
 def test_stray_files_are_left_out(tmp_path):
     told = []
-    logs = parse_rig(RIG.format(unit="N m")).read(folder(tmp_path, STRAY | SILENT), told=told)
+    logs = parse_rig(RIG.format(unit="N m")).read(folder(tmp_path, STRAY | SILENT), notes=told)
     assert [log.name for log in logs] == ["run_a", "run_b"]
     assert all(t.startswith("left out: ") for t in told)
     assert sorted(t.split()[2].rstrip(":") for t in told) == sorted(STRAY)
@@ -107,7 +107,7 @@ def test_nothing_but_stray_files_is_one_sentence(tmp_path, capsys):
 def test_ignored_files_are_not_even_opened(tmp_path):
     a_rig = parse_rig(RIG.format(unit="N m") + 'ignore = ["notes*", "aborted.csv"]\n')
     told = []
-    a_rig.read(folder(tmp_path, {k: STRAY[k] for k in ("notes.txt", "aborted.csv")}), told=told)
+    a_rig.read(folder(tmp_path, {k: STRAY[k] for k in ("notes.txt", "aborted.csv")}), notes=told)
     assert told == []
 
 
@@ -118,7 +118,7 @@ def test_log_info_judges_inputs_of_any_unit(tmp_path, capsys, unit):
     arguments = ["log", "info", str(tmp_path / "run.csv"), "--rig", str(tmp_path / "rig.toml")]
     assert main(arguments) == 0
     said = capsys.readouterr().out
-    assert "Can tell about base_vibration" in said
+    assert "Can identify base_vibration" in said
     assert "nothing to diagnose" not in said
 
 

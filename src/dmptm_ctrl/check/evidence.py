@@ -40,7 +40,7 @@ class Parameter:
     value: float
     scale: float  # unit of the derivatives
     prior: float  # standard deviation declared, in scales; infinite for nothing
-    own: bool = True  # is the machine's, and these logs can tell it; else it is free in the balance
+    own: bool = True  # is the machine's, and these logs show it; else it is free in the balance
 
     @property
     def effect(self) -> str:
@@ -121,7 +121,7 @@ def _stretches(parts: Sequence[tuple[int, float]]) -> NDArray[np.int64]:
 
 
 def _shows(unknown: Unknown, records: Sequence[Record]) -> bool:
-    """Whether a log can tell it; where a motor is in its gap, no ring gear's sensor says."""
+    """Whether a log can identify it; where a motor is in its gap, no ring gear's sensor says."""
     turns = unknown.effect is not None and "theta_m" in CATALOGUE[unknown.effect].depends_on
     return not turns or all(rec.twist is not None for rec in records)
 

@@ -127,7 +127,7 @@ class Information:
         return np.array([entry.along.get(p.key, 0.0) / p.scale for p in self.parameters])
 
     def change(self, entry: Entry, tolerance: float = 0.0) -> Change | None:
-        """Refit an entry alone; None where the logs tell it no finer than its own size.
+        """Refit an entry alone; None where the logs identify it no finer than its own size.
 
         All other parameters may differ by a share `tolerance` of their values; that is taken for
         three standard deviations.

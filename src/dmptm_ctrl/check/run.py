@@ -154,8 +154,8 @@ def check(
         errors = {**_errors(recorded), **(errors or {})}
         floor = _floor(recorded) if floor is None else floor
         model = read_model(path)
-    loaded, told = _loaded(model, logs)
-    told += [f"{log.name}: {text}" for log in loaded for text in log.warnings]
+    loaded, notes = _loaded(model, logs)
+    notes += [f"{log.name}: {text}" for log in loaded for text in log.warnings]
     dated: dict[datetime, list[Log]] = {}
     for log in loaded:
         date = date_of(log.name)
@@ -180,9 +180,9 @@ def check(
     names = tuple(log.name for log in dated[newest])
     each = _each(model, dated[newest], errors or {}, jobs)
     apart = disagreement(each, [c.entry for c in alone], [c.entry for c in moved], tolerance)
-    told += [apart] if apart else []
+    notes += [apart] if apart else []
     rms, unit = evidence.torque_rms, evidence.unit
-    return Check(moved, alone, rms, floor, unit, names, trend, tuple(told))
+    return Check(moved, alone, rms, floor, unit, names, trend, tuple(notes))
 
 
 def check_files(
@@ -234,8 +234,8 @@ def date_of(name: str) -> datetime | None:
 def _loaded(model: AnyModel, logs: Any) -> tuple[Sequence[Log], list[str]]:
     """Logs of the model's drive, and what was left out."""
     if isinstance(model, RigModel):
-        told: list[str] = []  # also of names in [data], which are those of the fitted logs
-        return model.rig.read(logs, told=told), [t for t in told if t.startswith(LEFT_OUT)]
+        notes: list[str] = []  # also of names in [data], which are those of the fitted logs
+        return model.rig.read(logs, notes=notes), [t for t in notes if t.startswith(LEFT_OUT)]
     campaign = logs if isinstance(logs, Campaign) else load_logs(logs)
     return campaign, list(campaign.warnings)
 

@@ -100,7 +100,7 @@ def tracking(
 
 
 def error_unit(controller: Controller) -> tuple[str, float]:
-    """Return the unit in which tracking errors are told, and its size in SI."""
+    """Return the unit in which tracking errors are given, and its size in SI."""
     if isinstance(controller.model, RigModel):
         return f"{controller.units[1]}/s", 1.0
     return "deg/s", DEG

@@ -18,7 +18,7 @@ from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 DECLARED = 1.0  # share of the declared ranges: nothing but the declaration is known
 FITTED = 0.25  # what a fit to a rig's logs usually leaves of them
-# Of the flanks' damping no log tells much, and pinions that hammer depend on it.
+# Of the flanks' damping no log shows much, and pinions that hammer depend on it.
 CONTACT_SHARE = 1.0
 # Friction builds up over some distance on every machine. Below one and a half counts of an
 # 18-bit ring encoder no log shows it, and at each reversal it is what a controller feels.

@@ -144,7 +144,7 @@ class Balance:
         return len(self.meshes)
 
     def _frequency(self, log_omega: float) -> float:
-        """Frequency [rad/s] inside what the sampled loop can tell apart."""
+        """Frequency [rad/s] inside what the sampled loop can separate."""
         low, high = np.log(2.0 * np.pi * LOWEST_HZ), np.log(np.pi / self.sample_time)
         return float(np.exp(min(max(log_omega, low), high)))
 

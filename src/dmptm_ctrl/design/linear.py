@@ -24,7 +24,7 @@ def linear_plant(model: Model, **turn: float) -> Any:
 
 
 def linear_rig(model: RigModel, source: str, sensor: str, sample_time: float) -> ct.StateSpace:
-    """Return a rig from one input to the speed that a sensor tells, named as of a dual drive."""
+    """Return a rig from one input to the speed that a sensor measures, named as of a dual drive."""
     source, sensor = default_loop(model.rig, source, sensor)
     one = next(s for s in model.rig.sensors if s.name == sensor)
     column = model.layout.inputs.index(source)

@@ -97,7 +97,7 @@ class Preload(NamedTuple):
 
 
 def assess_preload(model: Model, controller: Controller, duty: Duty) -> Preload:
-    """Run a duty and tell whether the preload kept both meshes closed, and what it cost."""
+    """Run a duty and return whether the preload kept both meshes closed, and what it cost."""
     u, out = close_loop(model, controller.law(), duty.reference, duty.sample_time)
     return _assessed(model, duty, u, out, 1.0 if controller.preload >= 0.0 else -1.0)
 

@@ -151,7 +151,7 @@ def closed_rows(
     total = sum(r.share for r in rows)
     own = min(total * errors.removable / whole, named)
     if len(rows) == 1 or named - own <= MATERIAL:
-        own = named  # too little to be told as shared
+        own = named  # too little to be listed as shared
     done = [
         replace(r, share=own * (r.share / total if total > 0.0 else 1.0 / len(rows))) for r in rows
     ]

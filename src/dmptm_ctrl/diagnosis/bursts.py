@@ -19,7 +19,7 @@ FINE, FINER = 0.004, 101  # share about a period in which it is looked for once 
 REGULAR = 0.9  # |mean exp(2πi t/T)| of what comes by the clock; excitations differ from log to log
 RAYLEIGH = 12.0  # n R² of burst onsets folded on a period: p below 1e-5 per period tried
 ONSET_GAP = 0.1  # s between bursts that count as two
-BINS = 12  # of a variable that may tell where bursts are
+BINS = 12  # of a variable that may show where bursts are
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ def overlap(keys: Iterable[str]) -> bool:
 def differ(amplitudes: Floats, covariance: Floats) -> bool:
     """Whether amplitudes (k,) differ from zero, as surely as one by three standard errors.
 
-    All together: what two motors do alike, logs may tell of both and of neither alone.
+    All together: what two motors do alike, logs may show of both and of neither alone.
     """
     square = float(amplitudes @ np.linalg.pinv(covariance, hermitian=True) @ amplitudes)
     return bool(square > chi2.isf(2.0 * norm.sf(FIRM), amplitudes.size))
@@ -72,7 +72,7 @@ class Candidate:
     objection : str
         Why the fitted values are impossible; empty where they are not.
     numbers : int
-        Of the effects together; of rivals that the logs hardly tell apart the simplest is named.
+        Of the effects together; of rivals that the logs hardly distinguish the simplest is named.
     order : int
         Place in the catalogue; of equally simple rivals the first is named.
     error, held_error : float
@@ -92,7 +92,7 @@ class Candidate:
 
     @property
     def plainness(self) -> tuple[int, int, int]:
-        """What decides between rivals that the logs hardly tell apart; the least is named."""
+        """What decides between rivals that the logs hardly distinguish; the least is named."""
         return self.numbers, self.order, sum(len(members(key)) for key in self.keys)
 
     @property
@@ -208,5 +208,5 @@ def standard_error(
         Rows of each equation that count as one.
     """
     rows = zip(few, more, lengths, strict=True)
-    told = (a.size * np.var(a - b) / length for a, b, length in rows if a.size)
-    return float(np.sqrt(sum(told)))
+    variances = (a.size * np.var(a - b) / length for a, b, length in rows if a.size)
+    return float(np.sqrt(sum(variances)))

@@ -243,7 +243,7 @@ def curves(left: Residual) -> list[Curve]:
     own = w[:, None] * base.jacobian
     used = freedom(own.T @ own, prior)
 
-    def told(both_of: tuple[Group, Group]) -> Curve:
+    def curve_of(both_of: tuple[Group, Group]) -> Curve:
         group, held = both_of
         g = np.concatenate(group.parts)
         both = np.hstack([base.jacobian, g])
@@ -260,7 +260,7 @@ def curves(left: Residual) -> list[Curve]:
         evidence = gain + held_gain - price
         return Curve(group.variables, evidence, held_gain, group.order)
 
-    found = in_threads(told, list(zip(fitted, judged, strict=True)), left.balance.jobs)
+    found = in_threads(curve_of, list(zip(fitted, judged, strict=True)), left.balance.jobs)
     return sorted(found, key=lambda c: -c.evidence)
 
 

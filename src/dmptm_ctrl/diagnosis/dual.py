@@ -33,7 +33,7 @@ from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats
 
 
-class Told(NamedTuple):
+class Scores(NamedTuple):
     """−2 log-likelihood per equation, rows of each that count as one, and the prior's part."""
 
     surprises: Floats
@@ -41,12 +41,12 @@ class Told(NamedTuple):
     prior: float
 
 
-def told(parts: Sequence[Floats], kinds: Sequence[str], prior: float) -> Told:
+def scores(parts: Sequence[Floats], kinds: Sequence[str], prior: float) -> Scores:
     """Return what the residuals of all equations say."""
-    return Told(surprises(parts, kinds), correlation_lengths(parts, kinds), prior)
+    return Scores(surprises(parts, kinds), correlation_lengths(parts, kinds), prior)
 
 
-def fall(smaller: Told, larger: Told) -> float:
+def fall(smaller: Scores, larger: Scores) -> float:
     """Fall of −2 log-likelihood by the larger model, per independent row as it leaves them."""
     change = (smaller.surprises - larger.surprises) / larger.lengths
     return float(np.sum(change)) + smaller.prior - larger.prior
@@ -72,21 +72,21 @@ class DualState:
     keys: Keys = ()
 
     @cached_property
-    def fitted(self) -> Told:
+    def fitted(self) -> Scores:
         """What the fitted logs say of the model."""
-        return self.told(self.left.base.missing)
+        return self.scores(self.left.base.missing)
 
-    def told(self, missing: Floats) -> Told:
+    def scores(self, missing: Floats) -> Scores:
         """What a residual on the fitted logs, (m,), would say of it."""
         base = self.left.base
         prior = sum((x / k.prior) ** 2 for x, k in zip(base.p, base.unknowns, strict=True))
         ends = np.cumsum([part.size for part in base.parts])[:-1]
-        return told(np.split(missing, ends), base.kinds, float(prior))
+        return scores(np.split(missing, ends), base.kinds, float(prior))
 
     @cached_property
-    def held(self) -> Told:
+    def held(self) -> Scores:
         """What the held-out logs say of it."""
-        return told(self.held_missing, self.left.held.kinds, 0.0)
+        return scores(self.held_missing, self.left.held.kinds, 0.0)
 
     @cached_property
     def held_missing(self) -> list[Floats]:

@@ -1,7 +1,7 @@
 """The experiment that would decide between an effect and what it may be confused with.
 
 Both are in fitted models; a signal that drives these apart, against what a free run leaves
-anyway, tells one from the other.
+anyway, distinguishes one from the other.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,7 +30,7 @@ _Key = TypeVar("_Key")
 EXPERIMENT_FILE = "next_experiment.csv"
 SECONDS = 20.0
 SAMPLE_TIME = 1e-3  # s
-BENT = 3.0  # standard deviations beyond which a sample tells no more: rattle differs by itself
+BENT = 3.0  # standard deviations beyond which a sample says no more: rattle differs by itself
 # model errors that no parameter mends, rad/s and rad at the pinion, and how long one lasts
 SPEED_FLOOR, TWIST_FLOOR, LASTING = np.deg2rad(0.03), np.deg2rad(0.15 / 60), 0.1
 BIAS = 0.25  # share of the largest voltage, of a preload
@@ -86,14 +86,14 @@ SIGNALS: dict[str, tuple[str, Callable[[Floats], tuple[Floats, Floats]]]] = {
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A signal that tells effects apart.
+    """A signal that separates effects.
 
     Attributes
     ----------
     against : tuple of str
-        The candidates that it tells apart.
+        The candidates that it separates.
     gain : float
-        Expected log-likelihood ratio times two between the two that are hardest to tell.
+        Expected log-likelihood ratio times two between the two that are hardest to separate.
     so_far : float
         The same of all logs at hand together, per span of the experiment.
     volts : (inputs, n) array
@@ -154,14 +154,14 @@ def _contested(selection: Selection) -> tuple[Entry, list[Candidate]] | None:
 
 
 def _best(
-    told: Callable[[Task], float],
+    worth: Callable[[Task], float],
     planned: Mapping[_Key, Floats],
     dt: float,
     logged: Sequence[Task],
     jobs: int,
 ) -> tuple[_Key, float, float]:
-    """Signal that tells most, what it tells, and what the logs told per span of an experiment."""
-    done = in_threads(told, [*((signals, dt) for signals in planned.values()), *logged], jobs)
+    """Signal that separates most, how far, and how far the logs do per span of an experiment."""
+    done = in_threads(worth, [*((signals, dt) for signals in planned.values()), *logged], jobs)
     gains = dict(zip(planned, done, strict=False))  # first of all
     best = max(gains, key=lambda key: gains[key])
     seconds = sum(signals.shape[1] * step for signals, step in logged)
@@ -171,7 +171,7 @@ def _best(
 def rig_experiment(selection: Selection, runs: Runs, jobs: int = 1) -> Experiment | None:
     """Choose a signal of one input of a rig, as `next_experiment` does.
 
-    Models are told apart by the sensor that `runs` compare, against what the final model's run
+    Models are compared by the sensor that `runs` compare, against what the final model's run
     leaves of it in the logs. It has the logs' sample time and their largest signals.
     """
     contested = _contested(selection)
@@ -188,7 +188,7 @@ def rig_experiment(selection: Selection, runs: Runs, jobs: int = 1) -> Experimen
         (np.array([log[i.channel] for i in rig.inputs]), log.sample_time) for log in runs.logs
     ]
 
-    def told(task: Task) -> float:
+    def worth(task: Task) -> float:
         signals, step = task
         own, *others = (
             runs.seen(march_rig(m.opened, signals, step).reading(runs.sensor.name), step)
@@ -203,7 +203,7 @@ def rig_experiment(selection: Selection, runs: Runs, jobs: int = 1) -> Experimen
         for name, (wave, _) in WAVES.items():
             planned[source.name, name] = np.zeros((len(rig.inputs), time.size))
             planned[source.name, name][j] = largest * wave(time)
-    best, gain, so_far = _best(told, planned, dt, logged, jobs)
+    best, gain, so_far = _best(worth, planned, dt, logged, jobs)
     return Experiment(
         best[1],
         f"{best[0]}, {WAVES[best[1]][1]}",
@@ -233,7 +233,7 @@ def next_experiment(selection: Selection, measured: Measured, jobs: int = 1) -> 
     largest = max(float(np.abs(mo.rec.u).max()) for mo in motions)
     time: Floats = SAMPLE_TIME * np.arange(round(SECONDS / SAMPLE_TIME), dtype=np.float64)
 
-    def told(task: Task) -> float:
+    def worth(task: Task) -> float:
         volts, dt = task
         own, *others = (march(m, volts, rest(m, 0.0), dt) for m in models.values())
         return min(apart(own, other, dt, twist) for other in others)
@@ -242,5 +242,5 @@ def next_experiment(selection: Selection, measured: Measured, jobs: int = 1) -> 
     for volts in signals.values():
         np.clip(volts, -largest, largest, out=volts)
     logged = [(mo.rec.u, mo.rec.dt) for mo in motions]
-    best, gain, so_far = _best(told, signals, SAMPLE_TIME, logged, jobs)
+    best, gain, so_far = _best(worth, signals, SAMPLE_TIME, logged, jobs)
     return Experiment(best, SIGNALS[best][0], tuple(models), gain, so_far, signals[best])

@@ -56,7 +56,7 @@ response = dm.simulate(model, time, signals)  # ct.TimeResponseData
 """
 NORMAL_95 = 1.96  # standard errors on either side that hold 95 %
 SHOWN = 3  # effects, and values of each, that the action names
-CORRELATED = 0.9  # from here on two parameters are told apart badly
+CORRELATED = 0.9  # from here on two parameters are hard to separate
 MOST_LOGS = 6  # that are drawn
 
 
@@ -155,15 +155,15 @@ def error_rows(error: Mapping[str, Any]) -> list[dict[str, Any]]:
     rows = []
     for kind, name in names.items():
         if kind in error["after"]:
-            told = error["after"][kind]
-            if "sensor" in told:
-                name += f" of {told['sensor']}"
-            if "seconds" in told:
-                name += f", {told['seconds']:g} s"
-            if "bandwidth_hz" in told:
-                name += f", below {told['bandwidth_hz']:.3g} Hz"
+            entry = error["after"][kind]
+            if "sensor" in entry:
+                name += f" of {entry['sensor']}"
+            if "seconds" in entry:
+                name += f", {entry['seconds']:g} s"
+            if "bandwidth_hz" in entry:
+                name += f", below {entry['bandwidth_hz']:.3g} Hz"
             sides = {side: error[side][kind]["rmse"] for side in ("before", "after", "floor")}
-            rows.append({"name": name, "unit": told["unit"], **sides})
+            rows.append({"name": name, "unit": entry["unit"], **sides})
     return rows
 
 

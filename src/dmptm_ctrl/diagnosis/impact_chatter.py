@@ -1,4 +1,4 @@
-"""How strongly the pinions rattle tells the meshes' damping, of which the balances know nothing.
+"""How strongly the pinions rattle shows the meshes' damping, of which the balances know nothing.
 
 Each reversal ends in impacts that ring at 60 and 230 Hz. No run predicts their phase, and a
 fit by mean squares would choose too much damping, since silence misses less than a rattle out
@@ -38,7 +38,7 @@ QUIET = 0.05  # share of the windows in which there is nothing but the sensor's 
 FED_BACK, LAGS = 0.05, 4
 LEAST = 0.1  # scatter of the logarithm of a power from log to log; less is chance
 PRIOR = 0.6  # standard deviation of the logarithm about the declared value
-# What it is told beside: a wider gap, or one that damps less, makes the pinions rattle more.
+# What it takes beside: a wider gap, or one that damps less, makes the pinions rattle more.
 BESIDE = ("gap_l", "gap_r", GAP_DAMPING)
 STEP = 0.3  # relative, of the damping itself, for the slope of the power over it
 APART = 0.3  # half-ranges, by which such a value is changed at least, or chance is larger
@@ -48,7 +48,7 @@ def rattled(records: Sequence[Record], start: BalanceFit, declared: Drive, jobs:
     """Return a fit with the damping that the rattle of the records speaks for.
 
     It comes with its standard deviation, and with how it follows the gaps: who knows these better
-    later knows it better, too. The gap's damping, which not even the rattle tells, is the declared
+    later knows it better, too. The gap's damping, which not even the rattle shows, is the declared
     one. What is not among the unknowns of the fit stays as it is.
     """
     names = [k.name if k.effect is None else "" for k in start.unknowns]
@@ -97,14 +97,14 @@ class Rattle:
     def ratios(self, models: Sequence[Model]) -> Floats:
         """Logarithm of simulated over measured power, (len(models), logs times bands)."""
 
-        def told(task: tuple[Record, Floats]) -> Floats:
+        def power_of(task: tuple[Record, Floats]) -> Floats:
             rec, seen = task
             runs = march_any(models, rec.u, rec.x0, rec.dt, substeps=SUBSTEPS, columns=SPEED)
             rows = np.array([powers(run[:, 0], rec.dt).mean(1) for run in runs])
             return np.asarray(np.log((rows + self.noise) / seen.mean(1)))
 
         pairs = list(zip(self.records, self.seen, strict=True))
-        done = in_threads(told, pairs, self.jobs, lambda task: task[0].omega.size)
+        done = in_threads(power_of, pairs, self.jobs, lambda task: task[0].omega.size)
         return np.concatenate(done, axis=1)
 
     def damping(self, model: Model) -> tuple[float, float]:

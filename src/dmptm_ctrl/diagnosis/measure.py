@@ -43,7 +43,7 @@ class Measured:
 
     @property
     def has_motor_encoders(self) -> bool:
-        """Whether every log tells the motor angles."""
+        """Whether every log has the motor angles."""
         return all(rec.twist is not None for rec in (*self.fit, *self.held))
 
 

@@ -157,7 +157,7 @@ def measured(model: Model | RigModel, log: Log) -> dict[str, Floats]:
     return {s.column: log[s.channel] / (parse_unit(s.unit).factor * s.sign) for s in sensors}
 
 
-def errors_told(model: Model | RigModel, table: pd.DataFrame, seen: Mapping[str, Floats]) -> str:
+def errors_text(model: Model | RigModel, table: pd.DataFrame, seen: Mapping[str, Floats]) -> str:
     """Return a line per predicted sensor: its unit, and its rms error where the log has it.
 
     `seen` are the columns that the log has, see :func:`measured`.
@@ -169,11 +169,11 @@ def errors_told(model: Model | RigModel, table: pd.DataFrame, seen: Mapping[str,
         units = {s.column: (s.unit, abs(s.sign)) for s in model.rig.sensors}
     lines = []
     for column, (unit, scale) in units.items():
-        told = f"in {unit if scale == 1.0 else f'{scale:.6g} {unit}'}, not in the log"
+        text = f"in {unit if scale == 1.0 else f'{scale:.6g} {unit}'}, not in the log"
         if column in seen:
             miss = scale * (table[column].to_numpy() - seen[column])
-            told = f"rms error {float(np.sqrt(np.mean(miss**2))):.3g} {unit} against the log"
-        lines.append(f"{column}: {told}")
+            text = f"rms error {float(np.sqrt(np.mean(miss**2))):.3g} {unit} against the log"
+        lines.append(f"{column}: {text}")
     return "\n".join(lines)
 
 

@@ -193,12 +193,12 @@ class Diagnosis:
             beyond = f"; fitted values leave their declared ranges: {self.outside_shown}"
         if self.verdict == "none":
             balance = sqrt(self.errors.before / max(self.errors.floor, 1e-300))
-            told = f"is {balance:.2f} times the floor; {left}{beyond}."
+            said = f"is {balance:.2f} times the floor; {left}{beyond}."
             if times > NONE:
-                return f"The balance shows no lack of the declared model: its error {told}"
+                return f"The balance shows no lack of the declared model: its error {said}"
             return (
                 "The declared model is as good as these logs can show: the error of its "
-                f"balance {told}"
+                f"balance {said}"
             )
         where = f"depends on {', '.join(self.depends_on)}" if self.depends_on else ""
         on = f"; it {where}" if where else ""
@@ -273,7 +273,7 @@ class Diagnosis:
                     lines.append(line.rstrip())
             lines.append(f"  {effect.evidence}")
             if effect.confusable_with:
-                lines.append("  cannot be told from: " + ", ".join(effect.confusable_with))
+                lines.append("  cannot be distinguished from: " + ", ".join(effect.confusable_with))
         if self.experiment is not None:
             lines += [
                 "",

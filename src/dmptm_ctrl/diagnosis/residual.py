@@ -28,7 +28,7 @@ from dmptm_ctrl.simulate.model import Floats, Model
 LEAD_HZ = 0.05  # slow lead of simulated runs by the measured angle: bounds drift only
 ECCENTRIC = ENCODER_ECCENTRICITY.name
 SEEN = 1.0  # evidence of a scale of an unknown, below which the balances do not see it
-ROUNDS = 3  # fits without motor encoders: each tells better who touches, for the next
+ROUNDS = 3  # fits without motor encoders: each says better which touch, for the next
 SETTLED = 5.0  # fall of the loss by slopes taken anew, below which they are not again
 
 
@@ -60,7 +60,7 @@ class Residual:
     def fast(self) -> "Residual":
         """The same, judged by what is faster than windows besides.
 
-        With motor encoders the chains' own balances tell more, and nothing is added.
+        With motor encoders the chains' own balances show more, and nothing is added.
         """
         if self.balance.fast or not self.balance.simulated:
             return self
@@ -98,7 +98,7 @@ def predicting_fit(balance: Balance, base: BalanceFit) -> BalanceFit:
 def _covariance(base: BalanceFit) -> Floats:
     """Covariance by the balances alone, of what they see.
 
-    How a run goes on after an impact depends steeply on every parameter, and tells none.
+    How a run goes on after an impact depends steeply on every parameter, and identifies none.
     """
     count = sum(kind != "led" for kind in base.kinds)
     parts, kinds = base.parts[:count], base.kinds[:count]
@@ -113,8 +113,8 @@ def _covariance(base: BalanceFit) -> Floats:
 
 def seen(rows: Floats, unknowns: Sequence[Unknown]) -> list[bool]:
     """Whether weighted slopes of balances, (m, k), show each unknown; of the drive all count."""
-    told = np.square(rows).sum(axis=0)
-    return [k.effect is None or x > SEEN for k, x in zip(unknowns, told, strict=True)]
+    seen_rows = np.square(rows).sum(axis=0)
+    return [k.effect is None or x > SEEN for k, x in zip(unknowns, seen_rows, strict=True)]
 
 
 def of_windows(left: Residual) -> Residual:
@@ -131,13 +131,13 @@ def of_windows(left: Residual) -> Residual:
 
 
 def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: int) -> Balance:
-    """Prepare balances; without motor encoders `model` tells which pinions touch."""
+    """Prepare balances; without motor encoders `model` says which pinions touch."""
     simulated = any(rec.twist is None for rec in records)
-    # a model that never touches with both is wrong about it: the declared one then tells
-    for tells in (model, declared) if simulated else (model,):
+    # a model that never touches with both is wrong about it: the declared one then says
+    for contact in (model, declared) if simulated else (model,):
         runs: Sequence[Floats | None] = [None] * len(records)
         if simulated:
-            run = partial(predict, model=tells, bandwidth_hz=LEAD_HZ)
+            run = partial(predict, model=contact, bandwidth_hz=LEAD_HZ)
             runs = in_threads(run, records, jobs, lambda rec: rec.omega.size)
         balance = Balance(motions(records, model, runs, jobs), declared, jobs, simulated)
         if balance.equations:
@@ -167,7 +167,7 @@ def residual(
     if free is None:
         free = drive_unknowns(model)
         if ECCENTRIC in model.effects and all(rec.twist is not None for rec in measured.fit):
-            free += effect_unknowns(ECCENTRIC)  # the twist tells it more finely than the gyro
+            free += effect_unknowns(ECCENTRIC)  # the twist shows it more finely than the gyro
     declared = Model(measured.drive)
     balance, base = closed(measured.fit, model, declared, free, jobs)
     held = balances(measured.held, base.model, declared, jobs)

@@ -123,7 +123,7 @@ def declared_already(model: RigModel, name: str, body: str) -> bool:
 
 
 def bodies_for(tangent: Tangent, chain: PlacedEffect) -> list[str]:
-    """Bodies at which an effect is told apart: of a rigid group the one that it can act on.
+    """Bodies at which an effect is identified: of a rigid group the one that it can act on.
 
     Friction under load acts where links end, what scales friction where there is some, and what
     goes with a motor's angle at the motor. A wave of one turn has another period on each body

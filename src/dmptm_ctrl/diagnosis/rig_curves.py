@@ -29,7 +29,7 @@ STIFFNESS = (1e-3, 1e-1, 1e1)  # weights of the second differences, tried
 EDGES = 0.002  # share of the rows beyond the first and last knot
 STEADY = 0.02  # of the highest speed; slower is at rest
 HARMONICS = KNOTS // 2  # of a clock that knots over its period resolve
-FINE = 2 * HARMONICS  # frequencies tried per one that a log tells apart: the last one in step
+FINE = 2 * HARMONICS  # frequencies tried per one that a log separates: the last one in step
 PERIODS = 2  # in the longest log, from which something comes by the clock
 
 Signal = Callable[[Motion], Floats]

@@ -51,7 +51,7 @@ from dmptm_ctrl.simulate.rig_model import RigModel, declared_effects
 MANY_LOGS = 6  # from here on whole logs are held out; below, stretches of each
 HOLD_EVERY = 3
 ROUNDS = 2  # fits of the declared model where hidden bodies follow the measured ones
-SAMPLES = 150_000  # of the balance; fits cost as much, and pieces of long logs tell as well
+SAMPLES = 150_000  # of the balance; fits cost as much, and pieces of long logs show as much
 
 
 @small_matrices
@@ -68,7 +68,7 @@ def diagnose_rig(
     _refuse_floating(declared)
     declared_effects(declared)  # what is wrong with them is said before logs are read
     left_out: list[str] = []
-    read = declared.read(logs, max_rows=READ_ROWS, told=left_out)
+    read = declared.read(logs, max_rows=READ_ROWS, notes=left_out)
     loaded, warnings = screen_rig(declared, read)
     warnings = (*left_out, *warnings)
     say("comparing the sensors")
@@ -88,19 +88,19 @@ def diagnose_rig(
     balance, evidence, base = _fitted(model, balance, right, jobs)
     _, held_logs, held_names, on = split(declared, balance)
     ahead = cache(Ahead.of(declared, right, base.logs, SAMPLES, jobs).fitted)
-    told, helps = predictions(declared, right, held_logs, ahead, jobs)
+    explains, helps = predictions(declared, right, held_logs, ahead, jobs)
 
     def grows(without: RigState, final: RigState) -> float:
         more = rise(without, final)
-        return inf if more < NEGLIGIBLE and told(without, final) else more
+        return inf if more < NEGLIGIBLE and explains(without, final) else more
 
     selection = _selected(evidence, base, say)
     base, last = selection.base, selection.final
     if last.logs is not base.logs:  # other rows count by now
         base = evidence.refit(base, last.logs, last.held)
         selection = replace(selection, base=base)
-    tells = last.fit.model
-    as_read = _as_read(declared, loaded, balance, base, tells, jobs) if faults else None
+    contact = last.fit.model
+    as_read = _as_read(declared, loaded, balance, base, contact, jobs) if faults else None
     selection = without_negligible(evidence, selection, grows)
     selection = without_negligible(evidence, selection, helps)
     if not selection.entries:  # what was found on the way and went may have left another fit
@@ -118,7 +118,7 @@ def diagnose_rig(
     floor = predicted(selection.final, found)
     at_floor = within_floor(selection, floor)
     plain = better_without_names(selection) if selection.entries else []
-    if selection.entries and (at_floor or plain) and not told(base, settled):
+    if selection.entries and (at_floor or plain) and not explains(base, settled):
         bare = selection.base
         selection = replace(selection, final=bare, entries=[], rest=selection.first)
         found = plain or curves(bare)
@@ -182,7 +182,7 @@ def _no_gap(model: RigModel) -> Iterator[str]:
 def _fitted(
     model: RigModel, balance: Balance, read: Sequence[Log], jobs: int
 ) -> tuple[Balance, RigEvidence, RigState]:
-    """Fit the declared model; each fit tells better when teeth touch."""
+    """Fit the declared model; each fit says better when teeth touch."""
     logs, held, _, _ = split(model.rig, balance)
     start = rough_start(model, logs)
     if any(balance.bursts):
@@ -200,16 +200,16 @@ def _fitted(
 
 def _started_anew(evidence: RigEvidence, base: RigState, link: str) -> RigState:
     """Fit again from the best start of a declared gap before bodies that nothing measures."""
-    model, told = base.fit.model, base.tangent.surprise
+    model, surprise = base.fit.model, base.tangent.surprise
     if link not in model.layout.links or not unseen_impacts(model, base.logs):
         return base
-    starts = gap_starts(model, base.logs, link, told, jobs=evidence.jobs)
+    starts = gap_starts(model, base.logs, link, surprise, jobs=evidence.jobs)
     again = (State(at_start(model, one), base.fit.state.logs) for one in starts[:1])
-    return min(base, *map(evidence.base, again), key=lambda one: told(one.fit.model))
+    return min(base, *map(evidence.base, again), key=lambda one: surprise(one.fit.model))
 
 
 def _in_contact(balance: Balance, model: RigModel, read: Sequence[Log]) -> Balance:
-    """Tell when teeth touch, by a model on the logs."""
+    """Say when teeth touch, by a model on the logs."""
     return pushing(touching(centred(balance, model), model, read), model, read)
 
 
@@ -231,7 +231,7 @@ def predictions(
 
     Returns
     -------
-    told : callable
+    explains : callable
         Whether the effects explain what predictions miss without them. Noise of the balance may
         hide what builds up in a run.
     helps : callable
@@ -250,9 +250,9 @@ def predictions(
             for one, size in zip(runs, missed(state), strict=True)
         ]
 
-    def told(without: RigState, final: RigState) -> bool:
+    def explains(without: RigState, final: RigState) -> bool:
         pairs = [*zip(missed(without), missed(final), strict=True)]
-        # a run that diverges tells nothing, nor what a run without them misses by chance
+        # a run that diverges says nothing, nor what a run without them misses by chance
         least = map(max, floor(final), floor(without))
         sizes = [
             Squares(*np.square([*pair, min(*pair, one)])) if max(pair) < inf else None
@@ -265,15 +265,15 @@ def predictions(
         pairs = zip(missed(without), missed(final), strict=True)
         return inf if any(bare > whole or whole == inf for bare, whole in pairs) else 0.0
 
-    return told, helps
+    return explains, helps
 
 
 def _as_read(
-    rig: Rig, read: Sequence[Log], balance: Balance, base: RigState, tells: RigModel, jobs: int
+    rig: Rig, read: Sequence[Log], balance: Balance, base: RigState, contact: RigModel, jobs: int
 ) -> RigState:
     """Return the declared model fitted to the logs as the sensors read them."""
     whole = balance_of(rig, read, bandwidth=balance.bandwidth).only(balance.logs).at_most(SAMPLES)
-    logs, held, _, _ = split(rig, _in_contact(whole, tells, read))
+    logs, held, _, _ = split(rig, _in_contact(whole, contact, read))
     fitted = RigEvidence(logs, held, jobs).refit(base, logs, held)
     return Ahead.of(rig, read, logs, SAMPLES, jobs).fitted(fitted)
 
@@ -335,6 +335,6 @@ def _refuse_floating(rig: Rig) -> None:
             key = "mass" if body.linear else "inertia"
             raise LogError(
                 f"body {body.name} has an unknown {key} between {' and '.join(soft)}, and no "
-                f"sensor: logs cannot tell it. Give its {key}, or leave it out and write one link "
+                f"sensor: logs do not show it. Give its {key}, or leave it out and write one link "
                 "with both stiffnesses in it"
             )

@@ -61,7 +61,7 @@ class RigEvidence:
     """Torque balances of the logs of a drive of any shape, or stretches of them.
 
     `logs` are fitted and `held` are not, as the declared model has them. `read` are the same as
-    read, on which a better model tells anew when teeth touch. Nothing depends on `jobs`.
+    read, on which a better model says anew when teeth touch. Nothing depends on `jobs`.
     """
 
     logs: Balance
@@ -303,14 +303,14 @@ class RigEvidence:
         return fit
 
     def closed(self, state: RigState) -> RigState:
-        """Let a model tell anew when hidden teeth touch, and fit again."""
+        """Let a model say anew when hidden teeth touch, and fit again."""
         if self.read and state.logs.closed:
             both = (touching(one, state.fit.model, self.read) for one in (state.logs, state.held))
             state = self.refit(state, *both)
         return self._counted(state)
 
     def _counted(self, state: RigState) -> RigState:
-        """Count anew how many rows are independent, tell noise of readings apart, and fit again."""
+        """Count independent rows anew, separate the noise of readings, and fit again."""
         like = Likelihood(state.logs, independent(state), doubt=state.fit.doubt)
         like = like.knowing(state.fit.model, state.fit.left)
         known = replace(state, fit=replace(state.fit, likelihood=like))
@@ -330,7 +330,7 @@ class RigEvidence:
         return RigState(self._to_the_end(State(model, logs), state.fit, keys), state.held, keys)
 
     def wald(self, state: RigState, key: str) -> float:
-        """Square of an effect's amplitudes in standard errors; 0 where only a refit tells."""
+        """Square of an effect's amplitudes in standard errors; 0 where only a refit shows."""
         if name_of(key) in STRUCTURES:
             return 0.0
         own = amplitudes_of(state.fit, key)

@@ -111,8 +111,8 @@ class RigSource:
 
         fit = self.selection.final.fit
         for placed in (e for e in fit.model.effects if e.name == SHAFT_COMPLIANCE.name):
-            told = effect_parameters(placed, fit)
-            marks = {n: told[f"{n}_hz"]["value"] for n in ("antiresonance", "resonance")}
+            read = effect_parameters(placed, fit)
+            marks = {n: read[f"{n}_hz"]["value"] for n in ("antiresonance", "resonance")}
             if found := spectrum(self, marks):
                 alt = "Gain over frequency: measured, and free runs of the models before and after."
                 yield Picture("spectrum", "Resonance", spectrum_uri(found), alt, READ_SPECTRUM)
@@ -188,7 +188,7 @@ def report_of(
     strong = (c.variable for c in curves if c.evidence > 0.5 * curves[0].evidence)
     variables = tuple(dict.fromkeys(strong))[:2]
     nearest = (best.variable,) if best else ()
-    # after a few impacts a free run is chance; "none" is told by the balance and short predictions
+    # after a few impacts a free run is chance; balance and short predictions decide "none"
     judged = errors if effects else replace(errors, runs=short.usual)
     loose = _parted(final.fit)
     more = bool(loose) or curve_share(final, curves) >= 1.0 - EXPLAINED
@@ -237,10 +237,10 @@ def _named(entry: Entry, fit: RigFit, after: float, without: float) -> NamedEffe
     parameters: dict[str, Any] = {}
     for key in members(entry.key):
         placed = fit.model.effect(key)
-        told = effect_parameters(placed, fit)
-        if placed.like:  # what it shares is told already
-            told = {f"{placed.on}.{k}": v for k, v in told.items() if v != parameters.get(k)}
-        parameters |= told
+        read = effect_parameters(placed, fit)
+        if placed.like:  # what it shares is listed already
+            read = {f"{placed.on}.{k}": v for k, v in read.items() if v != parameters.get(k)}
+        parameters |= read
     return NamedEffect(
         name,
         places,
@@ -356,7 +356,7 @@ def _spring(
 def _parted(fit: RigFit) -> list[str]:
     """Links of unknown stiffness that a fit leaves hardly any: not different from 0 by its errors.
 
-    A link that is too stiff to be told is none: its mode lies above the band.
+    A link that is too stiff to be identified is none: its mode lies above the band.
     """
     model, found = fit.model, []
     for link in (k for k in model.rig.links if k.stiffness and not isfinite(k.stiffness.value)):

@@ -27,7 +27,7 @@ from dmptm_ctrl.simulate.model import Floats
 SURE = 10.0  # standard errors of an inertia that contradicts its declaration
 KINEMATIC = 0.99  # correlation above which one position follows another through a soft link
 INVERSE = 0.25  # of a ratio's error in logarithms, below which its inverse fits far better
-TOLD = 1.05  # factor between two sensors of one motion that a good pair does not have
+SCALED = 1.05  # factor between two sensors of one motion that a good pair does not have
 TWIST = 10.0  # times more than a wrong ratio leaves, a soft link would have to twist
 HIDDEN = 20.0  # times less: behind a soft shaft, a load hides that much of the inertia, not more
 
@@ -40,15 +40,15 @@ def screen_rig(rig: Rig, logs: Sequence[Log]) -> tuple[tuple[Log, ...], tuple[st
     """
     distinct, warnings = without_duplicates(tuple(logs))
     kept, useless = [], []
-    told: set[str] = set()  # factors that all logs show are said once
+    seen: set[str] = set()  # factors that all logs show are said once
     for log in distinct:
         notes = refuse_other_units(rig, log)
         if why := nothing_in(rig, log):
             useless.append(f"{log.name} {why}")
             continue
         kept.append(log)
-        notes = [note for note in notes if note.partition(" times ")[2] not in told]
-        told |= {note.partition(" times ")[2] for note in notes}
+        notes = [note for note in notes if note.partition(" times ")[2] not in seen]
+        seen |= {note.partition(" times ")[2] for note in notes}
         warnings += [f"{log.name}: {note}" for note in (*notes, *generates(rig, log))]
     if not kept:
         raise LogError(f"nothing to diagnose: {'; '.join(useless)}")
@@ -56,7 +56,7 @@ def screen_rig(rig: Rig, logs: Sequence[Log]) -> tuple[tuple[Log, ...], tuple[st
 
 
 def nothing_in(rig: Rig, log: Log) -> str:
-    """Return why a log cannot tell anything; empty if it can."""
+    """Return why a log cannot show anything; empty if it can."""
     constant = [i for i in rig.inputs if np.ptp(log[i.channel]) == 0]
     if len(constant) == len(rig.inputs) and (
         len(rig.inputs) == 1 or not any(np.any(log[i.channel]) for i in rig.inputs)
@@ -79,7 +79,7 @@ def nothing_in(rig: Rig, log: Log) -> str:
 def refuse_other_units(rig: Rig, log: Log) -> list[str]:
     """Refuse sensors of one body, or across links, that differ in unit, sign or ratio.
 
-    Factors that a sensor's gain may have are told, not refused.
+    Factors that a sensor's gain may have are reported, not refused.
     """
     notes = []
     for one, other, path in _pairs(rig):
@@ -96,7 +96,7 @@ def refuse_other_units(rig: Rig, log: Log) -> list[str]:
             raise LogError(f"{log.name}: {_other_ratio(one, other, path, slope)}")
         # the twist of a soft link is no multiple of the motion
         scaled = path.rigid or np.std(y - x) > TWIST * np.std(y - slope * x)
-        if scaled and not 1 / TOLD < abs(slope) < TOLD and abs(correlation) > KINEMATIC:
+        if scaled and not 1 / SCALED < abs(slope) < SCALED and abs(correlation) > KINEMATIC:
             notes.append(
                 f"{one.column} moves {slope * path.ratio:.4g} times what {other.column} {what}, "
                 f"where {path.ratio:.4g} is declared: one of the two has another scale"
@@ -117,7 +117,7 @@ class _Path(NamedTuple):
 def _inverted(path: _Path, slope: float) -> bool:
     """Whether the inverse of a ratio fits the logs far better than the ratio itself."""
     off = abs(np.log(abs(slope)))
-    return off > np.log(TOLD) and abs(np.log(abs(slope * path.ratio**2))) < INVERSE * off
+    return off > np.log(SCALED) and abs(np.log(abs(slope * path.ratio**2))) < INVERSE * off
 
 
 def _other_ratio(one: Sensor, other: Sensor, path: _Path, slope: float) -> str:

@@ -145,8 +145,8 @@ class Tangent:
         except (ValueError, ArithmeticError):
             return inf
         with np.errstate(over="ignore", invalid="ignore"):  # a model that runs away
-            told = self.fit.likelihood.surprise(left, model)
-        return told if isfinite(told) else inf
+            found = self.fit.likelihood.surprise(left, model)
+        return found if isfinite(found) else inf
 
     def project(self, columns: Floats) -> Floats:
         """Take out what the fitted numbers could do."""

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from dmptm_ctrl.diagnosis.diagnose import diagnose_dual
-from dmptm_ctrl.diagnosis.predict import RUNS, errors_told, inputs_of, measured, prediction
+from dmptm_ctrl.diagnosis.predict import RUNS, errors_text, inputs_of, measured, prediction
 from dmptm_ctrl.diagnosis.report import Diagnosis
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
@@ -75,13 +75,13 @@ def diagnose(
         return diagnose_rig(logs, declared, jobs=jobs, seed=seed, say=say)
     columns = dual_columns(declared)
     left_out: list[str] = []
-    read = declared.read(logs, columns=columns, max_rows=READ_ROWS, told=left_out)
+    read = declared.read(logs, columns=columns, max_rows=READ_ROWS, notes=left_out)
     campaign = Campaign(read, tuple(left_out))
     return diagnose_dual(campaign, drive, jobs, seed, say)
 
 
 def predict_file(
-    log: Path, model: Path, *, single: bool = False, told: list[str] | None = None
+    log: Path, model: Path, *, single: bool = False, notes: list[str] | None = None
 ) -> tuple[Iterator[str], str]:
     """Predict a log file with a model file.
 
@@ -91,13 +91,13 @@ def predict_file(
     ----------
     single : bool
         One run instead of the mean of several; that of a drive by rig.toml is one always.
-    told : list
+    notes : list
         Gets a sentence about each thing that was mended in the log.
     """
     read = read_model(model)
     given = inputs_of(read, log)
-    if told is not None:
-        told += given.warnings
+    if notes is not None:
+        notes += given.warnings
     if isinstance(read, RigModel):
         try:
             read.plant()
@@ -106,7 +106,7 @@ def predict_file(
     table = prediction(read, given, 1 if single else RUNS)
     seen = measured(read, given)
     _refuse_runaway(table, model.name, seen)
-    return _csv(table), errors_told(read, table, seen)
+    return _csv(table), errors_text(read, table, seen)
 
 
 def _csv(table: pd.DataFrame) -> Iterator[str]:

@@ -1,6 +1,6 @@
 """Before the first step: which logs can be diagnosed at all, and which mistakes show at once.
 
-A log that cannot tell anything is left out with a warning. Units and signs that a whole rig's
+A log that cannot show anything is left out with a warning. Units and signs that a whole rig's
 logs share contradict nothing inside a log; they show against the declared model.
 """
 
@@ -31,7 +31,7 @@ FASTEST_HZ = 2000.0  # sampled faster, a log is thinned to half of this or more
 SLOWEST_HZ = 200.0  # sampled slower, the mesh mode at 60 Hz is not seen
 STRANGE = 5.0  # factor between the speeds of log and declared model: no drive of that kind
 VAGUE = 2.0  # factor within which the speed of a declared model is right
-LEAN = 0.3  # correlation of voltage and speed that tells the sign of a motor's power
+LEAN = 0.3  # correlation of voltage and speed that shows the sign of a motor's power
 TRIED_SECONDS = 20.0  # of each log, run on the declared model
 
 
@@ -69,7 +69,7 @@ def screen(campaign: Campaign, drive: Drive) -> tuple[Campaign, tuple[str, ...]]
 
 
 def nothing_in(log: Log) -> str:
-    """Return why a log cannot tell anything; empty if it can."""
+    """Return why a log cannot show anything; empty if it can."""
     if len(log) < MIN_SAMPLES or log.duration < MIN_SECONDS:
         return (
             f"is too short: {len(log)} samples, {log.duration:.3g} s; "
@@ -135,7 +135,7 @@ def shortened(log: Log) -> tuple[Log, list[str]]:
     if rate < SLOWEST_HZ:
         notes.append(
             f"sampled at {rate:.4g} Hz; below {SLOWEST_HZ:g} Hz fast effects (delays, meshes) "
-            "cannot be told"
+            "cannot be identified"
         )
     every = int(rate * 2.0 / FASTEST_HZ) if rate > FASTEST_HZ else 1
     if every > 1:

@@ -29,7 +29,7 @@ from dmptm_ctrl.simulate.model import Floats
 # Evidence per unit of log-odds between rivals: 2 where the likelihood is right; laws that are
 # only nearly right make it less sharp.
 TEMPERATURE = 4.0
-NEAR = 4.0 * TEMPERATURE  # evidence within which the logs hardly tell rivals apart
+NEAR = 4.0 * TEMPERATURE  # evidence within which the logs hardly distinguish rivals
 MOST = 16  # effects; a drive that seems to need more is not explained by effects
 SET_BEAM = 12  # pairs that are made triples
 SET_TRIALS = 3  # pairs, and triples, that are fitted
@@ -73,7 +73,7 @@ class Entry:
 
     @property
     def confusable_with(self) -> tuple[str, ...]:
-        """Keys of rivals that the logs hardly tell from it."""
+        """Keys of rivals that the logs hardly distinguish from it."""
         least = self.evidence - NEAR
         return tuple(r.keys[0] for r in self.rivals if r.evidence > least and not r.objection)
 
@@ -155,7 +155,7 @@ def ranked(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def best_of(able: Sequence[Candidate], ratio: float) -> Candidate:
-    """The best candidate, or of those that the logs hardly tell from it the simplest.
+    """The best candidate, or of those that the logs hardly distinguish from it the simplest.
 
     What both parts of the logs ask for goes before what only one of them does; each more effect
     has to be worth its level.
@@ -399,7 +399,7 @@ def beside_each(
 
 
 def evidence_per_gain(ratio: float) -> float:
-    """Evidence per gain on the fitted logs, at most: held-out ones tell no more by rows."""
+    """Evidence per gain on the fitted logs, at most: held-out ones say no more by rows."""
     return 1.0 + max(1.0 / ratio, 1.0)
 
 

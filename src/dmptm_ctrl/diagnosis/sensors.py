@@ -161,7 +161,7 @@ def sensor_effect(name: str, sensors: SensorCheck, final: Fit, share: float) -> 
     for p in effect.parameters:
         try:
             value, se = final.value(name, p.name)
-        except KeyError:  # only the two sensors tell it
+        except KeyError:  # only the two sensors show it
             value, se = sensors.values[name][p.name], sensors.errors[name][p.name]
         parameters[p.name] = estimate(value, se, p.unit)
     largest = max(

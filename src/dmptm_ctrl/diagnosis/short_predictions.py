@@ -102,7 +102,7 @@ def likely(state: DualState, names: Sequence[str]) -> list[str]:
         some = changes[:, [owner == name for owner in owners]]
         if bent(name):
             moved = base.missing[:, None] + some / base.weights[:, None]
-            worth[name] = max(fall(state.fitted, state.told(row)) for row in moved.T)
+            worth[name] = max(fall(state.fitted, state.scores(row)) for row in moved.T)
         else:
             worth[name] = explained(state.target, state.independent(view.project(some)))
     order = sorted(names, key=lambda name: -worth[name])

@@ -9,7 +9,7 @@ from dmptm_ctrl.identify.balance import SIDES
 # and no lack of any, leaves half as much; a pinion that creeps on its hub three times it.
 WANDERS = 5.0
 WANDERS_SHARE = 0.1  # of the same without names, up to which a name's form is only nearly right
-STRETCHES, FEWEST = 5, 20  # of a log; windows of it, fewer tell nothing of where it was meanwhile
+STRETCHES, FEWEST = 5, 20  # of a log; windows of it, fewer say nothing of where it was meanwhile
 SLIP = ("mesh_torque",)  # what makes something slip
 
 

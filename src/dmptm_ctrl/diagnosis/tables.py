@@ -46,7 +46,7 @@ MOST_OF_IT = 0.6  # of a table, in which something happens: it needs no finer on
 HELD = 8.0  # fall of the loss on the held-out logs that a table must bring
 # Tables that can stand for a curve of these variables; of others (a rate, a mesh torque) none can.
 # Of several the one that explains most: a brake in a sector of the turn is a curve over the angle,
-# and whether it grows with the speed only a table of each tells.
+# and whether it grows with the speed only a table of each shows.
 Plan = tuple[tuple[str, float], ...]
 PLANS: dict[tuple[str, ...], tuple[Plan, ...]] = {
     ("theta_L",): (((FRICTION, ANGLE), (TORQUE, ANGLE)), ((TORQUE, ANGLE),), ((TORQUE, DRAG),)),
@@ -160,7 +160,7 @@ def waves(left: Residual) -> dict[str, float]:
     """Shape of a table over one wave of those that a motor's turn has, the strongest kind.
 
     Of a short wave a table of the whole turn has only a few knots. Both motors have the same one,
-    at other angles: how far apart, a table for each of them tells.
+    at other angles: how far apart, a table for each of them shows.
     """
     turn = {"variable": TURN, "low": 0.0, "high": 2.0 * np.pi, "period": LONGEST}
     entered = [entered_into(left.base.model, MOTOR, {**turn, "motors": m}) for m in (LEFT, RIGHT)]

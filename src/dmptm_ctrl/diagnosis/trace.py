@@ -107,16 +107,16 @@ class Trace:
         By the columns' own products: to project them takes longer.
         """
         squares = np.einsum("ij,ij->j", columns, columns)
-        told = self.basis[self.totals].T @ columns
-        left = squares - np.einsum("ij,ij->j", told, told)
+        shared = self.basis[self.totals].T @ columns
+        left = squares - np.einsum("ij,ij->j", shared, shared)
         return np.maximum(left, SINGULAR * squares), self.target[self.totals] @ columns
 
     def gain(self, columns: Floats) -> float:
         """Fall of the weighted square by columns (m, k), to first order; by their products."""
         size = np.maximum(np.sqrt(np.einsum("ij,ij->j", columns, columns)), np.finfo(float).tiny)
         unit = columns / size  # a column may be nothing at all
-        told = self.basis[: -self.rows].T @ unit
-        own = unit.T @ unit - told.T @ told
+        shared = self.basis[: -self.rows].T @ unit
+        own = unit.T @ unit - shared.T @ shared
         product = self.target[: -self.rows] @ unit
         return float(product @ np.linalg.pinv(own, SINGULAR, hermitian=True) @ product)
 
@@ -298,7 +298,7 @@ def starts(trace: Trace, effect: Effect) -> list[dict[str, float]]:
 
 
 def bent(name: str) -> bool:
-    """Whether the first step tells little about the rest of the way."""
+    """Whether the first step says little about the rest of the way."""
     return bool(CATALOGUE[name].starts) or CATALOGUE[name].search == "limits"
 
 

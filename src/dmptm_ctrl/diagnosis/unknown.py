@@ -55,8 +55,8 @@ def unexplained(before: Residual, after: Residual, named: float) -> Unexplained 
     named : float
         Evidence of the named effects together.
     """
-    told = curves(after)
-    left = significant(told, max(CURVE, CURVE_SHARE * named))
+    seen = curves(after)
+    left = significant(seen, max(CURVE, CURVE_SHARE * named))
     shots = bursts(after)
     by_the_clock = after is before and shots.period > 0.0
     few = left is None and shots.share < BURSTS and not by_the_clock
@@ -68,8 +68,8 @@ def unexplained(before: Residual, after: Residual, named: float) -> Unexplained 
         bare = curves(before)
         top = significant(bare, CURVE)
         if top is not None and top.evidence > named:
-            best, told, shots = top, bare, bursts(before)
-    variables = alike(told, best) if best is not None else ()
+            best, seen, shots = top, bare, bursts(before)
+    variables = alike(seen, best) if best is not None else ()
     if shots.share >= BURSTS and (best is None or "time" in shots.variables[:1]):
         variables = (*variables, *shots.variables)
     if slips > 0.0 and best is None:
@@ -78,7 +78,7 @@ def unexplained(before: Residual, after: Residual, named: float) -> Unexplained 
 
 
 def alike(found: Sequence[Curve], best: Curve) -> tuple[str, ...]:
-    """Variables of the best curve, then of those that the logs hardly tell from it."""
+    """Variables of the best curve, then of those that the logs hardly distinguish from it."""
     near = []
     for c in found:
         better = c.held_gain > BETTER_HELD * best.held_gain

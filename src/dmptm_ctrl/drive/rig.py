@@ -374,12 +374,12 @@ class Rig:
         *,
         columns: Mapping[str, Column] | None = None,
         max_rows: int | None = None,
-        told: list[str] | None = None,
+        notes: list[str] | None = None,
     ) -> tuple[Log, ...]:
         """Load logs of this rig: channels ``in_NAME`` and ``out_NAME``, SI, in order of names.
 
         `sources` are paths, DataFrames or Logs. A folder stands for all logs in it, but those
-        under ``[data] ignore``; files that are no logs are left out, and `told` gets a sentence
+        under ``[data] ignore``; files that are no logs are left out, and `notes` gets a sentence
         about each. Logs that have the rig's channels already are taken as they are; of others
         `columns` become channels, by default the rig's own. Rows of a file after `max_rows` are
         not read, with a warning. LogError as of `load_log`, and for no
@@ -394,8 +394,8 @@ class Rig:
         loaded, left_out = gather(
             sources, lambda s, **o: self.load(s, columns, max_rows=max_rows, **o), ignored
         )
-        if told is not None:
-            told += [
+        if notes is not None:
+            notes += [
                 *left_out,
                 *self.cautions(),
                 *self._without_match([log.name for log in loaded], seen),

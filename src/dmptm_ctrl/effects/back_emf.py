@@ -23,5 +23,5 @@ BACK_EMF = Effect(
     source="K_t K_e / R of a voltage-fed motor",
     depends_on=("omega_m",),
     reveals="constant speeds over the whole range; only a coefficient beyond its declared range "
-    "tells it from viscous friction",
+    "separates it from viscous friction",
 )

@@ -24,6 +24,6 @@ FRICTION_ASYMMETRY = Effect(
     location="bearings and guides",
     source="Table 2 of the paper: every row differs by direction",
     depends_on=("omega_L",),
-    reveals="motion in both directions at several speeds; only these tell it from "
+    reveals="motion in both directions at several speeds; only these separate it from "
     "an offset of the drive",
 )

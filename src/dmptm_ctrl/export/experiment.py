@@ -62,8 +62,8 @@ def within(
     """Return signals at a sample time [s], made smaller until a rig can take them.
 
     The table has a column time_s and one per input of the model, in its order; signals are held
-    from sample to sample. Where speed or travel are limited, a model tells them by simulation from
-    rest, and all signals shrink by one factor. LogError for limits that cannot be kept or told.
+    from sample to sample. Where speed or travel are limited, a model gives them by simulation from
+    rest, and all signals shrink by one factor. LogError for limits that cannot be kept or computed.
     """
     time = table[TIME].to_numpy(float)
     dt = sample_time or float(time[1] - time[0])
@@ -155,7 +155,7 @@ def experiment_program(table: pd.DataFrame, source: Path | None = None) -> Progr
     results.append(shown("lasts", 1.0))
     dt = float(table[TIME].iloc[1] - table[TIME].iloc[0])
     notes = [
-        "Experiment that tells effects apart. Call the step once per sample.",
+        "Experiment that separates effects. Call the step once per sample.",
         f"Sample time: {dt!r} s, {len(table)} samples.",
         *origin(source),
     ]

@@ -181,7 +181,7 @@ FOREVER = 2**62  # an index is always below
 
 
 def make(op: str, *args: Any) -> Any:
-    """Return an operation's result: a number where it can be told, else an expression."""
+    """Return an operation's result: a number where it can be computed, else an expression."""
     if op == "/":
         return _quotient(*args)
     if all(known(a) for a in args):

@@ -111,7 +111,7 @@ def export_experiment(
 ) -> list[str]:
     """Write a planned experiment, as next_experiment.csv, ready to run; return the files' names.
 
-    `model` is the file by which speed and travel are told. LogError, and nothing is written, for
+    `model` is the file that gives speed and travel. LogError, and nothing is written, for
     files that cannot be used, or limits that cannot be kept.
     """
     if target not in OF_EXPERIMENT:

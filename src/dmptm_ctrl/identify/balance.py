@@ -7,7 +7,7 @@ Summed over all bodies the mesh torques cancel, so that the balance at the ring 
 holds through gaps and rattle, of which no simulation predicts the course; per chain the
 mesh torque follows from the measured twist while the pinion rests on a flank. Nothing is
 integrated: no drift, no chaos, and nearly linear in everything unknown. What acts faster than a
-window is long is told by the gyro's fast part (`ripple`).
+window is long is measured by the gyro's fast part (`ripple`).
 Source: paper Eqs. 16 to 18, 21, 25.
 """
 
@@ -29,7 +29,7 @@ from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
 
 FIRM = 1.0  # N·m at the pinion; below, the flanks part and meet again within a window
-MIN_WINDOWS = 8  # of a log and equation; fewer tell nothing about their own scatter
+MIN_WINDOWS = 8  # of a log and equation; fewer say nothing about their own scatter
 GAUSSIAN = 1e6  # freedom of Student's t, where every window counts in full
 # N·m, rad/s for ripple and led; friction laws, and a sensor's noise, are not known more finely
 FLOOR = {"total": 0.1, "chain": 0.4, "ripple": 0.5 * GYRO_NOISE, "led": 0.2 * GYRO_NOISE}
@@ -90,7 +90,7 @@ class Balance:
                 ]
             found += [Equation(i, k, used) for k, used in kinds if used.sum() >= MIN_WINDOWS]
         if self.fast:
-            found += [Equation(i, "ripple", r.used) for i, r in enumerate(self.ripples) if r.tells]
+            found += [Equation(i, "ripple", r.used) for i, r in enumerate(self.ripples) if r.usable]
         if self.led:
             found += [
                 Equation(i, "led", np.ones(one.count, bool)) for i, one in enumerate(self.leds)
@@ -137,7 +137,7 @@ class Balance:
 
     @property
     def simulated(self) -> bool:
-        """Whether a simulation told which pinions touch."""
+        """Whether a simulation says which pinions touch."""
         return any(mo.rec.twist is None for mo in self.motions)
 
     @cached_property

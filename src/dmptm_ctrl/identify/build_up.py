@@ -47,20 +47,20 @@ def friction_distance(model: Model, logs: Sequence[Log], *, jobs: int = 1) -> fl
 
 
 def with_build_up(model: Model, logs: Sequence[Log], *, jobs: int = 1) -> Model:
-    """Return the model with the distances that its logs' free runs tell, as presliding; 0 is none.
+    """Return the model with the distances that its logs' free runs show, as presliding; 0 is none.
 
-    A balance of torques hardly tells which body's friction builds up late. So of presliding that
+    A balance of torques hardly shows which body's friction builds up late. So of presliding that
     a model has, both distances are tried at :data:`SHARES` of themselves, each with each.
     """
     if PRESLIDING.name not in model.effects:
         distance = friction_distance(model, logs, jobs=jobs)
         return cast(Model, slow_friction(model, distance))
-    told = model.effects[PRESLIDING.name]
+    values = model.effects[PRESLIDING.name]
     names = ("reducer_distance", "ring_distance")
     tried = [
         model.with_effect(
             PRESLIDING.name,
-            **{**told, **{n: share * told[n] for n, share in zip(names, shares, strict=True)}},
+            **{**values, **{n: share * values[n] for n, share in zip(names, shares, strict=True)}},
         )
         for shares in product(SHARES, repeat=2)
     ]

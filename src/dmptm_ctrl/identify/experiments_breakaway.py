@@ -85,7 +85,7 @@ def ring_breakaway(
         both = log["u_left"][at] + log["u_right"][at]
         label = "plus" if both > 0.0 else "minus"
         if f"T3s_{label}" not in reducers:
-            raise ValueError(f"{log.name}: T3s_{label} is needed to tell the ring gear's share")
+            raise ValueError(f"{log.name}: T3s_{label} is needed for the ring gear's share")
         rate = sum(_ramp_rate(log, name, at) for name in ("u_left", "u_right"))
         total, se = _taken_off(n2 * pull * both, n2 * pull * rate, moved, inertia)
         torque = abs(total) - 2.0 * n2 * reducers[f"T3s_{label}"].value

@@ -5,7 +5,7 @@ The paper takes for c_f the "value with a higher degree of fitting with the meas
 
     J̄3 ω̇3 = N1 K_d K_M u − T3(ω3) − c_f ω3
 
-so that flights under several voltages tell the damping from the dry friction. What else
+so that flights under several voltages separate the damping from the dry friction. What else
 enters is held by the standard error with which the other experiments know it; B3 above all,
 since in flight only B3 + c_f is seen. (c is fitted by :mod:`.experiments_dynamic`.)
 """

@@ -55,7 +55,7 @@ def shaken_turns(
         J̄3 − N1² Jm: no experiment on the whole drive splits J̄3.
     logs : iterable of Log
         Open loop, preloaded, turning one way, whole periods in steady state, with motor and
-        ring-gear angles. Common and differential shaking together tell all parameters.
+        ring-gear angles. Common and differential shaking together identify all parameters.
     period : float [s]
         Of the multisine.
     lines : sequence of float [Hz]

@@ -119,7 +119,7 @@ def taps(
     Parameters
     ----------
     volts : sequence of float [V]
-        Heights of the differential square wave; different ones tell damping from friction.
+        Heights of the differential square wave; different ones separate damping from friction.
     repeats : int
         Periods of each height.
     """

@@ -57,7 +57,7 @@ class FrictionPoints:
 
 @dataclass(frozen=True, eq=False)
 class SteadyResult:
-    """What constant-speed runs tell.
+    """What constant-speed runs show.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ def _refuse_open(runs: list[Steady]) -> None:
         raise ValueError("all runs have one sign of preload; runs with both are needed")
     sizes = np.abs(halves)
     if sizes.max() < 1.2 * sizes.min():
-        raise ValueError("all runs have one size of preload; two tell the gap from the stiffness")
+        raise ValueError("all runs have one size of preload; two are needed for gap and stiffness")
     if any(np.prod(np.sign(r.twist)) > 0 for r in runs):
         raise ValueError("a run has both pinions on the same flank; raise the preload")
 

@@ -14,7 +14,7 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.model import Floats, Model
 
 PRIOR_SHARE = 0.6  # standard deviation of a uniform range, as a share of its half-width
-# Standard deviation of an amplitude, as a share of its bound: where logs tell only the sum of
+# Standard deviation of an amplitude, as a share of its bound: where logs show only the sum of
 # two (both motors' cogging without motor encoders), neither runs away.
 AMPLITUDE_SHARE = 0.3
 FLATTEST = 1e-14  # curvature of a step's square, as a share of the largest: what rounding leaves
@@ -138,10 +138,10 @@ def bounded_step(
 def least_in_box(normal: Floats, slope: Floats, low: Floats, high: Floats) -> Floats:
     """Return the x between bounds at which ½ xᵀ A x − bᵀ x is least.
 
-    `normal` (k, k) is A, of numbers of like scale; directions that it does not tell stay put.
+    `normal` (k, k) is A, of numbers of like scale; directions that it does not determine stay put.
     """
     values, vectors = np.linalg.eigh(normal)
-    if values[-1] <= 0.0:  # nothing is told
+    if values[-1] <= 0.0:  # nothing is determined
         return np.zeros(slope.size)
     root = np.sqrt(np.maximum(values, FLATTEST * values[-1]))
     target = (vectors / root).T @ slope

@@ -2,7 +2,7 @@
 
 Their run depends on the moment of every impact, which no model predicts. While teeth touch they
 move with the measured bodies. In the balance of all together the torques of the teeth cancel,
-whatever they are. So links of such bodies count as rigid, and a run tells only when they touch.
+whatever they are. So links of such bodies count as rigid, and a run says only when they touch.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -35,7 +35,7 @@ def followed(rig: Rig, sensors: Iterable[str]) -> tuple[frozenset[str], float]:
     model = RigModel(rig)
     try:
         plant, layout = model.plant(), model.layout
-    except ValueError:  # a spring or an inertia is unknown: only runs tell it
+    except ValueError:  # a spring or an inertia is unknown: only runs identify it
         return frozenset(), inf
     seen = {*coordinates_of(layout, sensors)}
     hidden = [g for g in range(layout.coordinates) if g not in seen]

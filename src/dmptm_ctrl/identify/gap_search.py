@@ -1,7 +1,7 @@
 """Starting values of a gap before bodies that nothing measures.
 
 When teeth meet depends on all that came before, so the fit of such a gap has many minima. Points
-spread evenly over all that is unknown of the link tell which are deep; more are spread around the
+spread evenly over all that is unknown of the link show which are deep; more are spread around the
 best, ever closer.
 Source: Sobol' points in a shrinking box, as Masri, Bekey and Safford, Appl. Math. Comput. 7 (1980)
 353, do with random ones.
@@ -60,11 +60,11 @@ def gap_starts(
         return []
     points = qmc.Sobol(low.size, seed=0)
 
-    def told(x: Floats) -> float:
+    def surprise_at(x: Floats) -> float:
         return surprise(at_start(model, make(x)))
 
     def losses(spread: Floats) -> Floats:
-        return np.array(in_threads(told, list(spread), jobs))
+        return np.array(in_threads(surprise_at, list(spread), jobs))
 
     best = low + (high - low) * points.random(FIRST)
     found, half = losses(best), 0.5 * (high - low)

@@ -156,7 +156,7 @@ class Balance:
         return tuple(bool(self.closed) or k in heavy for k in range(len(self.points)))
 
     def simulates(self, model: RigModel) -> bool:
-        """Whether links carry what only a run tells."""
+        """Whether links carry what only a run shows."""
         return bool({*model.layout.links} - {*self.teeth})
 
     def bends(self, model: RigModel) -> bool:

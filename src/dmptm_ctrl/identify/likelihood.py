@@ -1,4 +1,4 @@
-"""How much the rows of a balance of torques tell about a model."""
+"""How much the rows of a balance of torques say about a model."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,7 +22,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """How much the rows of a balance tell.
+    """How much the rows of a balance say.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Likelihood:
         Variance of the residual by the noise of readings to which all models are brought.
         Without it, what a model makes of that noise counts like anything else that is left.
     doubt : dict of label to float
-        How many times less surely the rows tell a number than their count says. Its declared range
+        How many times less surely the rows show a number than their count says. Its declared range
         weighs so much more beside them (Pauli, Racugno and Ventura, Stat. Sinica 21 (2011) 149).
     """
 
@@ -46,7 +46,7 @@ class Likelihood:
         return replace(self, balance=balance)
 
     def knowing(self, model: RigModel, left: Sequence[Floats]) -> "Likelihood":
-        """Return the same with the noise of readings told from what else a model leaves."""
+        """Return the same with the noise of readings separated from what else a model leaves."""
         noise = self.noise_of(model)
         share = noise / self.scales(left) ** 2
         return replace(self, noise=noise if np.sum(self.counts * share) > TOLERANCE else None)
@@ -121,10 +121,10 @@ class Likelihood:
         squares = self.scales(left) ** 2
         if self.noise is not None:
             # More noise than there is left makes no model better. What a model adds to the noise is
-            # told from what else it leaves no better than so many rows tell a variance.
+            # separated from what else it leaves no better than so many rows determine a variance.
             own = self.noise_of(model)
-            told = np.sqrt(2.0 / np.maximum(self.counts, 2.0)) * (own - self.noise)
-            least = np.maximum(self.floor**2, told)
+            uncertain = np.sqrt(2.0 / np.maximum(self.counts, 2.0)) * (own - self.noise)
+            least = np.maximum(self.floor**2, uncertain)
             squares = np.maximum(squares - own, least) + self.noise
         # the mean square over the scale's is left in: near the floor it still falls
         spread = self.counts * (1.0 - self.floor**2 / squares)

@@ -32,7 +32,7 @@ MOST_REST = 0.05  # of the highest speed
 REST_TIME = 2.0  # at rest for longer than this many periods of the bandwidth is left out
 STRETCHES = 10  # that a log is cut into where there are few logs
 HELD_STRETCHES = (2, 5, 8)  # of these, not fitted
-FEWEST_ROWS = 60  # of a balance; fewer tell nothing
+FEWEST_ROWS = 60  # of a balance; fewer say nothing
 NO_STAIRS = 0.4  # of the bandwidth; a filter that lets single counts of slow motion pass no more
 DUST = 1e-9  # of the range; readings that differ by less are the same
 FEW_STEPS = 5.5  # over which the rounding of a text file is small beside a step
@@ -309,7 +309,7 @@ def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> tuple[float, 
     """Frequency up to which a sensor gives acceleration with little noise [Hz]; its noise.
 
     The noise is taken as white, at the level of the spectrum above 0.4 of the sample rate (the
-    quietest log tells), but not below what the declared resolution and noise give. What
+    quietest log shows), but not below what the declared resolution and noise give. What
     rounding makes at low frequencies is not white: none at rest, and more where motion is slow.
     """
     order = 2 if sensor.measures == "position" else 1
@@ -324,7 +324,7 @@ def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> tuple[float, 
         floor = float(np.median(power[f > FLOOR_BAND * rate])) / low
         step = grid_of(sensor, y)
         declared = _declared_variance(sensor, step) / (rate / 2)
-        told = min(floor, declared or floor)
+        quiet = min(floor, declared or floor)
         floor = max(floor, declared)
         weight = (2 * np.pi * f) ** (2 * order)
         noise = np.cumsum(weight * floor)
@@ -334,9 +334,9 @@ def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> tuple[float, 
         below = f[good]
         best = float(below.max()) if below.size else 0.0
         reach.append(float(np.clip(best, LOWEST * rate, HIGHEST * rate)))
-        white = min(told, 2.0 * step**2 / (12.0 * rate))
+        white = min(quiet, 2.0 * step**2 / (12.0 * rate))
         slow = rounding_noise(y, step, rate, reach[-1], order) if step else 0.0
-        floors.append(told - white + slow)
+        floors.append(quiet - white + slow)
     return float(np.median(reach)), float(np.median(floors))
 
 
@@ -434,7 +434,7 @@ def prepare(log: Log, rig: Rig, sights: dict[str, Sight], bandwidth: float) -> M
 
 
 def _unclear_speed(sensor: Sensor, raw: Floats, filtered: Floats, cut: float, rate: float) -> float:
-    """Speed below which a sensor does not tell motion from rest."""
+    """Speed below which a sensor does not distinguish motion from rest."""
     if sensor.measures == "position":
         return 2.0 * cut * grid_of(sensor, raw)  # peak of one count through the filter
     # white noise: what the filter took out is that above the cut

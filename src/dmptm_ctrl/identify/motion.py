@@ -26,7 +26,7 @@ SETTLED = 5.0  # distances of pre-sliding after a reversal, from which friction 
 CREEP = np.deg2rad(0.3)  # rad/s of the ring gear; slower, friction is not a function of speed
 QUIET = np.deg2rad(0.4 / 60)  # rad, standard deviation of z in a window: rattling pinions exceed it
 NEAR = 0.4  # of the half-gap; closer to the middle nothing touches
-LANDED_SECONDS = 0.02  # after a simulated landing, when no encoder tells the real one
+LANDED_SECONDS = 0.02  # after a simulated landing, when no encoder measures the real one
 GYRO_NOISE = np.deg2rad(0.05)  # rad/s per sample
 
 
@@ -194,7 +194,7 @@ def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion
     starts = np.arange(1, n - m - 1, m // 2)  # half overlapping, see `Motion.mean`
     view = sliding_window_view
 
-    # Gyro and encoder both tell the ring gear's acceleration; weigh by their noise.
+    # Gyro and encoder both measure the ring gear's acceleration; weigh by their noise.
     by_gyro = first_difference(rec.omega, dt)
     by_encoder = second_difference(rec.theta, dt)
     # standard deviations of ∫φ̇ω and ∫φ̈θ for a Hann window
@@ -254,7 +254,7 @@ def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion
 def shifts(rec: Record, run: Floats, model: Model) -> Floats:
     """What the model's errors of teeth and gears shift z by, (n, 2) [rad].
 
-    Where they are as large as the gap, z alone tells neither the flank nor what is rattle.
+    Where they are as large as the gap, z alone shows neither the flank nor what is rattle.
     """
     shift = np.zeros((run.shape[0], 2))
     if rec.twist is not None:

@@ -112,20 +112,20 @@ def _equations(
     seen = [layout.coordinate[b] for b in bodies]
     first = {g: seen.index(g) for g in seen}
     hidden = [g for g in range(plant.inertia.size) if g not in first]
-    told = list(hidden)  # equations that say how hidden coordinates move
+    equations_used = list(hidden)  # equations that say how hidden coordinates move
     ends = [np.flatnonzero(r).tolist() for r in rows[plant.link_gap == 0]]
     beyond = [g for pair in ends if 0 in pair for g in pair if g in first]
     if 0 in hidden and beyond:
-        told[0] = beyond[0]
+        equations_used[0] = beyond[0]
     position = np.zeros((s.size, plant.inertia.size, len(seen)), complex)
     for g, k in first.items():
         position[:, g, k] = 1.0 / layout.ratio[bodies[k]]
     if hidden:
-        known = need[:, told] @ position
-        position[:, hidden] = -np.linalg.solve(need[:, told][..., hidden], known)
+        known = need[:, equations_used] @ position
+        position[:, hidden] = -np.linalg.solve(need[:, equations_used][..., hidden], known)
     torque = need @ position
     reach = untwisted(plant)
-    counted = [*first, 0] if told != hidden else [*first]
+    counted = [*first, 0] if equations_used != hidden else [*first]
     found = [np.einsum("g,wgp->wp", reach[counted], torque[:, counted])]
     through = _through_teeth(model, rows, position, s, balance.teeth)
     for k, g in enumerate(seen[1:], 1):

@@ -97,7 +97,7 @@ class RigFit:
 
     @cached_property
     def _doubt(self) -> Floats:
-        """How many times less surely each number is told than its curvature says."""
+        """How many times less surely each number is determined than its curvature says."""
         inverse, spread = (np.diag(m) for m in self._spread)
         return np.sqrt(np.maximum(spread / np.maximum(inverse, 1e-300), 1.0))
 
@@ -224,7 +224,7 @@ def fit_rig(
     iterations : int
         At most.
     like : Likelihood, optional
-        How much rows tell, as another fit found.
+        How much rows say, as another fit found.
     near : RigFit, optional
         Of a model without some effects: the slopes of what both have are nearly its own.
     """
@@ -263,7 +263,7 @@ def fit_rig(
         fine ^= vain > 0
         if gain < TOLERANCE or bends:
             slopes, fresh = jacobian(state, balance, frees, left, jobs=jobs, fine=fine), True
-    if rough:  # nearby slopes would tell numbers far more surely than runs do
+    if rough:  # nearby slopes would determine numbers far more surely than runs do
         slopes = jacobian(state, balance, frees, left, jobs=jobs)
     elif not fresh:
         slopes = slopes_near(state, balance, frees, left, near, jobs)

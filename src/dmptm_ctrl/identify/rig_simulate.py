@@ -15,7 +15,7 @@ from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 from dmptm_ctrl.simulate.rig_run import MAX_SUBSTEPS, RigRun, march, substeps_for
 
 START = 12  # samples from which the first position and speed are taken
-MANY = 4  # samples or fewer tell no speed; the start counts as at rest
+MANY = 4  # samples or fewer show no speed; the start counts as at rest
 SURE = 3.0  # standard errors; slower at the start is at rest
 TWINS = 8  # drives beside a fitted one, whose scatter no fit can remove
 # Standard deviation of how stiffness and damping of meshes, which decide when teeth leave their

@@ -30,10 +30,10 @@ from dmptm_ctrl.simulate.plant import Floats, Plant
 
 FINER = 2  # steps per sample in which a torque acts: an order may have two samples per period
 WHITE = 8  # coefficients that whiten what is left: the meshes' wobble is a narrow band
-EXTREME = 0.01  # share of samples at either end that do not tell the colour of the rest
-LEAST = 100  # samples of a log, below which nothing is told
+EXTREME = 0.01  # share of samples at either end that do not show the colour of the rest
+LEAST = 100  # samples of a log, below which nothing is identified
 FAINTEST = 0.01  # share of a gyro's usual noise that any has
-NEARLY = 1e-3  # share by which two motors' waves must differ to be told apart
+NEARLY = 1e-3  # share by which two motors' waves must differ to be separated
 GRID = 2048  # frequencies at which the response is known
 KEPT = 64  # difference equations kept
 RECENT = 4  # results kept per motion
@@ -58,7 +58,7 @@ class Ripple:
         self.used = np.convolve(~calm, reach, "same") < 0.5
 
     @property
-    def tells(self) -> bool:
+    def usable(self) -> bool:
         """Whether there are samples enough."""
         return int(self.used.sum()) >= LEAST
 

@@ -1,10 +1,10 @@
 """Links with a declared gap whose bodies are measured at both ends.
 
-While teeth rest on a flank, the measured twist tells what they carry,
+While teeth rest on a flank, the measured twist shows what they carry,
 
     z + shift − gap · flank + (c/k) ż = torque/k,
 
-and the balance of all bodies on one side of the link tells the same torque. It stands in the
+and the balance of all bodies on one side of the link shows the same torque. It stands in the
 twist, so that the noise of a twist does not make a stiffness small. After a reversal teeth
 rattle, which no model predicts; until they push again, only the balance of all bodies counts.
 Source: paper Eq. 21, in contact.

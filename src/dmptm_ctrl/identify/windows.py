@@ -164,11 +164,11 @@ class Windowed:
         return row, self.mean(row, held=False)
 
     def _even_friction(self, *law: Any) -> Floats:
-        """Friction on a body, smoothed over what the mesh torque is told from."""
+        """Friction on a body, smoothed over what the mesh torque is taken from."""
         return self.even(self.friction(*law)[0])
 
     def even(self, rows: Floats) -> Floats:
-        """Rows (..., n) smoothed over what the mesh torque is told from."""
+        """Rows (..., n) smoothed over what the mesh torque is taken from."""
         seconds = SEEN_SECONDS if self.twisted else CARRIED_SECONDS
         dt, parts = self.course.dt, self.course.parts
         return np.concatenate([evened(rows[..., p], dt, seconds) for p in parts], -1)

@@ -18,7 +18,7 @@ AHEAD = {**STYLES["other"], "linewidth": 0.6, "zorder": 1.0}  # it has the ringi
 LEGEND: dict[str, Any] = {
     "fontsize": 7.5, "handlelength": 1.8, "columnspacing": 1.2, "frameon": False,
 }  # fmt: skip
-DIRECTIONS: dict[str, dict[str, Any]] = {  # filled against hollow: told apart in grey
+DIRECTIONS: dict[str, dict[str, Any]] = {  # filled against hollow: distinct in grey
     "forward": {"color": "#0b3c6f", "linestyle": "-", "marker": "o", "markersize": 3.5},
     "backward": {
         "color": "#c0641a", "linestyle": "--", "marker": "s", "markersize": 4,

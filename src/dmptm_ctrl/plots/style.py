@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-# colour, line style, width: dark against light, so that a grey print tells them apart
+# colour, line style, width: dark against light, so that a grey print separates them
 STYLES: dict[str, dict[str, Any]] = {
     "measured": {"color": "0.65", "linestyle": "-", "linewidth": 2.5},
     "proposed": {"color": "#0b3c6f", "linestyle": "-", "linewidth": 1.2},

@@ -81,7 +81,7 @@ def figure_of(panel: Axes | Figure) -> Figure:
 
 @dataclass
 class Context:
-    """What several items share, computed once; `say` is told what is being done."""
+    """What several items share, computed once; `say` gets what is being done."""
 
     say: Callable[[str], None] = field(default=lambda text: None)
 

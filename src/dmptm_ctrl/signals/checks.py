@@ -5,7 +5,7 @@ import numpy as np
 from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.log import Array
 
-MIN_SAMPLES = 100  # fewer tell nothing about a drive
+MIN_SAMPLES = 100  # fewer say nothing about a drive
 HUGE = 1e30
 SHORTEST_STEP = 1e-9  # s, faster than anything that samples a drive
 LONGEST_STEP = 60.0  # s, slower than anything that samples a drive

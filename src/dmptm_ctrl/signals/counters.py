@@ -42,7 +42,7 @@ def step_of_counts(values: Array) -> float:
         return 0.0
     few = steps[np.unique(np.geomspace(1, steps.size, 300).astype(int)) - 1]
     size = float(few[0])
-    for step in few:  # larger ones tell it better
+    for step in few:  # larger ones show it better
         size = float(step) / round(step / size)
     counts = values / size
     return size if (np.abs(counts - np.round(counts)) < GRID).all() else 0.0
@@ -53,7 +53,7 @@ def unwrapped_counts(column: str, values: Array, turn: float = 0.0) -> tuple[Arr
 
     Values are as the file has them, `turn` is a whole turn in them (0: they slide); NaN is passed
     over. Moduli of whole turns, of 2^n counts and of round numbers come first, then what the jumps
-    tell. The motion must go on across each jump.
+    show. The motion must go on across each jump.
     """
     good = np.isfinite(values)
     reading = values[good]
@@ -68,10 +68,10 @@ def unwrapped_counts(column: str, values: Array, turn: float = 0.0) -> tuple[Arr
         turns, misfit = _jumps_of(step, size, span, SLACK * unit)
         if turns is not None and (best is None or misfit < best[0]):
             best = misfit, size, turns, what
-    if best is None and (told := _told_modulus(step, unit)) is not None:
-        turns, misfit = _jumps_of(step, told, span, SLACK * unit)
-        if turns is not None and span < told + 0.5 * unit:
-            best = misfit, told, turns, f"started anew after {told:.6g}"
+    if best is None and (usual_one := _usual_modulus(step, unit)) is not None:
+        turns, misfit = _jumps_of(step, usual_one, span, SLACK * unit)
+        if turns is not None and span < usual_one + 0.5 * unit:
+            best = misfit, usual_one, turns, f"started anew after {usual_one:.6g}"
     if best is None:
         return values, ""
     _, size, turns, what = best
@@ -93,7 +93,7 @@ def _known_moduli(span: float, unit: float, turn: float) -> Iterator[tuple[float
             yield size, f"started anew after {size:g}"
 
 
-def _told_modulus(step: Array, unit: float) -> float | None:
+def _usual_modulus(step: Array, unit: float) -> float | None:
     """Modulus by two jumps or more, through which the motion goes on at a speed that shows."""
     size = np.abs(step)
     far = size > 0.5 * size.max()
@@ -105,9 +105,9 @@ def _told_modulus(step: Array, unit: float) -> float | None:
     if moving.sum() < 2:
         return None
     sizes = (size[far] + ahead)[moving]
-    told = float(np.median(sizes))
+    usual_one = float(np.median(sizes))
     error = max(3 / np.sqrt(sizes.size), 1.0) * float(np.std(sizes)) + 0.6 * unit
-    return roundest(told, error)
+    return roundest(usual_one, error)
 
 
 def _around(step: Array, over: NDArray[np.bool_]) -> tuple[Array, Array]:

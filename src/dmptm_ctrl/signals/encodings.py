@@ -23,7 +23,7 @@ _OLDER: dict[str, tuple[str, ...]] = {
 def encoding_of(head: bytes, source: str, wanted: Collection[str]) -> str:
     """Encoding of a text by its first bytes: UTF-8, -16, -32, else of an older program.
 
-    `wanted` names, or usual ones, tell which; Latin letters where none do, for ° and µ.
+    `wanted` names, or usual ones, say which; Latin letters where none do, for ° and µ.
     NotALogError for what is no text.
     """
     if head[:64].count(0) < 8:  # a file that was to grow, and was not closed

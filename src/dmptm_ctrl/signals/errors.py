@@ -30,7 +30,7 @@ def repeated(names: Iterable[str]) -> str | None:
 
 
 def optional(module: str, what: str, extra: str) -> Any:
-    """Return a module of an extra that `what` needs; ImportError tells how to install it."""
+    """Return a module of an extra that `what` needs; ImportError says how to install it."""
     library = module.partition(".")[0]
     try:
         import_module(library)

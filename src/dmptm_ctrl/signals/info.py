@@ -1,4 +1,4 @@
-"""What is in a log, and which effects it can tell anything about."""
+"""What is in a log, and which effects it can identify."""
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -56,7 +56,7 @@ class Excitation:
 
 @dataclass(frozen=True)
 class Testability:
-    """Whether a log can tell about an effect, and what is lacking if not."""
+    """Whether a log can identify an effect, and what is lacking if not."""
 
     effect: str
     testable: bool
@@ -89,7 +89,7 @@ def describe(
     effects: Collection[str] | None = None,
     inputs: Collection[str] | None = None,
 ) -> LogInfo:
-    """Say what is in a log and what it can and cannot tell, by rules of thumb.
+    """Say what is in a log and what it can and cannot identify, by rules of thumb.
 
     `labels`: what the file calls the channels, and how they are to be shown. `declared` effects
     are in the drive's model already; None of `effects` stands for all, None of `inputs` for the
@@ -119,7 +119,7 @@ def _channel(log: Log, channel: str, labels: Mapping[str, tuple[str, str]]) -> C
 
 
 def _with_unit(name: str, unit: str) -> str:
-    """Name of a column with its unit, where it has one and the name does not tell it."""
+    """Name of a column with its unit, where it has one and the name does not say it."""
     return name if unit in NO_UNIT or named_unit(name)[1] else f"{name} [{unit}]"
 
 
@@ -141,7 +141,7 @@ def _resolution(values: Array) -> float:
         times = round(far / size)
         if abs(far - times * size) > GRID * size:
             break
-        size = float(far / times)  # those far away tell it better, also of rounded decimals
+        size = float(far / times)  # those far away show it better, also of rounded decimals
     else:
         return size
     size = smallest
@@ -287,8 +287,8 @@ def describe_file(path: Path) -> LogInfo:
             raise
         notes = (*table.notes, *more, str(error))
         return LogInfo(path.name, samples, 0.0, 0.0, None, columns, None, (), notes)
-    told = tuple(w for w in info.warnings if "no known unit" not in w)
-    return replace(info, channels=columns, warnings=(*told, *more))
+    kept = tuple(w for w in info.warnings if "no known unit" not in w)
+    return replace(info, channels=columns, warnings=(*kept, *more))
 
 
 def _columns_of(path: Path) -> tuple[tuple[ChannelInfo, ...], Table, list[str]]:

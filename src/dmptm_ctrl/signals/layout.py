@@ -33,7 +33,7 @@ def find_layout(
 ) -> Layout:
     """Find the table in the first lines of a file.
 
-    `wanted` columns tell which of several lines of names is meant. NotALogError without numbers,
+    `wanted` columns say which of several lines of names is meant. NotALogError without numbers,
     LogError for names that do not fit the rows.
     """
     if sum(bool(_FRAME.search(line)) for line in lines[:50]) > 0.5 * len(lines[:50]):
@@ -150,13 +150,13 @@ def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> Block | N
     others = sum(any(row) for _, row in rows[begin:]) - len(body)
     share = 1 - (cells["text"] + others) / max(sum(cells.values()), 1)
     above = {len(trimmed(dialect.split(bare(s)))) for s in lines[start:first]}
-    told = len(column) in above or how.header is not None
+    has_names = len(column) in above or how.header is not None
     values = sum(kind != "text" for kind in column)
     # columns without a value that have a name
     column += ["text"] * max([w - len(column) for w in above if w <= width], default=0)
     constant += [""] * (len(column) - len(constant))
     tabs = dialect.separator == " " and any("\t" in lines[i] for i, _ in rows[begin : begin + 9])
-    score = (round(share, 2), told, values * (not tabs))
+    score = (round(share, 2), has_names, values * (not tabs))
     return Block(score, dialect, first, width, column, constant, body)
 
 

@@ -13,8 +13,8 @@ from dmptm_ctrl.signals.subprocess_reader import Signal, read_in_subprocess
 def read_mdf(path: Path, choose: Choose) -> Table:
     """Read channels of an MDF 4 file (extra ``mf4``).
 
-    The clock is that of the chosen channel that ticks most often. Channels of one name are told
-    apart by their groups, as in ``u (group 2)``.
+    The clock is that of the chosen channel that ticks most often. Channels of one name
+    differ by their groups, as in ``u (group 2)``.
     """
     found, meta = read_in_subprocess(path)
     times = {signal.clock: signal.values for signal in found if signal.is_time}

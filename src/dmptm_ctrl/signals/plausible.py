@@ -7,7 +7,7 @@ import numpy as np
 from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.log import Array, Log
 
-# Below this correlation two channels do not tell their ratio.
+# Below this correlation two channels do not show their ratio.
 SURE = 0.9
 # Sensor errors worth a diagnosis stay within a factor of 2; mistaken units do not.
 SAME_UNIT = (0.5, 2.0)
@@ -112,7 +112,7 @@ def _detrended(y: Array, time: Array) -> Array:
 def refuse_factor(
     log: Log, y: Array, x: Array, this: str, expected: str, *, detrend: bool = False
 ) -> None:
-    """Refuse y that is not about 1 times x where their correlation tells."""
+    """Refuse y that is not about 1 times x where their correlation shows it."""
     slope, correlation = motion_ratio(log, y, x, detrend=detrend)
     if abs(correlation) < SURE:
         return
@@ -165,7 +165,7 @@ def _clipped(log: Log, channel: str) -> float | None:
     values = log[channel]
     speed = f"omega{channel.removeprefix('theta')}"
     if channel == "ref" or (log.units[channel] == "rad" and not log.has(speed)):
-        return None  # a setpoint may stay; an angle alone does not tell rest from clipping
+        return None  # a setpoint may stay; an angle alone does not distinguish rest from clipping
     step = np.abs(np.diff(values))
     for level in (values.max(), values.min()):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], values == level, [False]])))

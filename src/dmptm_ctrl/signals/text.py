@@ -30,7 +30,7 @@ from dmptm_ctrl.signals.header import clock_word, is_clock_name
 from dmptm_ctrl.signals.layout import find_layout
 
 CHUNK_ROWS = 200_000  # text of one chunk is in memory at once, about 20 MB
-HEAD = 1 << 16  # bytes that tell the encoding
+HEAD = 1 << 16  # bytes that show the encoding
 FIELD_LINES = 8  # a quoted field goes over no more than this; else it is a mark of inches
 MAX_LINE = 1 << 20  # bytes; a line longer than this is no row of numbers
 MAX_BYTES = 20 << 30  # unpacked; guards against archives that unpack without end
@@ -52,7 +52,7 @@ def read_text(
     """Read columns of numbers from a text file, plain or gzip by content, a chunk at a time.
 
     `choose` gets names and units and returns the columns to read; those without a name are called
-    column1, column2, … `wanted` columns tell which of several lines of names is meant. Columns are
+    column1, column2, … `wanted` columns say which of several lines of names is meant. Columns are
     float64, read-only; times timedelta64. A LogError gives line and column.
     """
     how = how or TextFormat()

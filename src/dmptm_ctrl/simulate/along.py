@@ -22,13 +22,13 @@ from dmptm_ctrl.simulate.rig_model import Placed, value_row
 
 # site -> what its kernel does to the rows `out` and `more`, of rows a to d in its arguments' order
 _CALLS = {
-    "drive": "out[i] = kernel(a[i], b[i], told, values)",
-    "lag": "r = kernel(a[i], told, values); out[i] = r[0]; more[i] += r[1]",
-    "motor": "out[i] += kernel(a[i], b[i], c[i], d[i], told, values)",
+    "drive": "out[i] = kernel(a[i], b[i], side, values)",
+    "lag": "r = kernel(a[i], side, values); out[i] = r[0]; more[i] += r[1]",
+    "motor": "out[i] += kernel(a[i], b[i], c[i], d[i], side, values)",
     "load": "out[i] += kernel(a[i], b[i], c[i], values)",
-    "mesh": "r = kernel(a[i], b[i], c[i], d[i], told, values); out[i] += r[0]; more[i] += r[2]",
-    "stiffness": "r = kernel(a[i], b[i], c[i], d[i], told, values); out[i] += r[3]",
-    "friction": "r = kernel(a[i], b[i], c[i], d[i], told, values); out[i] *= r[0]; more[i] += r[1]",
+    "mesh": "r = kernel(a[i], b[i], c[i], d[i], side, values); out[i] += r[0]; more[i] += r[2]",
+    "stiffness": "r = kernel(a[i], b[i], c[i], d[i], side, values); out[i] += r[3]",
+    "friction": "r = kernel(a[i], b[i], c[i], d[i], side, values); out[i] *= r[0]; more[i] += r[1]",
     "sensor": "out[i], more[i] = kernel(a[i], b[i], c[i], values)",
 }
 _HEAD = """\
@@ -43,7 +43,7 @@ Values = EFFECTS[0].values
 
 
 @njit
-def along(a, b, c, d, told, p, out, more):
+def along(a, b, c, d, side, p, out, more):
     values = Values({values})
     for i in range(out.size):
         {call}
@@ -120,24 +120,24 @@ class Acting(NamedTuple):
     """An effect at a place, with its numbers there."""
 
     effect: Effect
-    told: int  # side or body that the kernel is told
+    side: int  # side or body that the kernel takes
     values: Floats  # parameters as the kernel takes them
 
 
 def acting_of(placed: Placed) -> Acting:
     """Return an effect of a rig with its numbers."""
     chain = PLACED_CATALOGUE[placed.name]
-    return Acting(chain.effect, chain.told, value_row(placed))
+    return Acting(chain.effect, chain.side, value_row(placed))
 
 
 def acting_in(plant: Plant) -> dict[tuple[str, int], list[Acting]]:
     """Return the effects in use by site and part of a plant; the sites that kernels act at."""
     found: dict[tuple[str, int], list[Acting]] = {}
     flags = plant.on.tolist()
-    for effect, part, told, flag, first in plant.places:
+    for effect, part, side, flag, first in plant.places:
         if flags[flag]:
             row = plant.values[first : first + len(effect.parameters)]
-            found.setdefault((effect.site, part), []).append(Acting(effect, told, row))
+            found.setdefault((effect.site, part), []).append(Acting(effect, side, row))
     return found
 
 
@@ -162,12 +162,12 @@ def _run(
     effects: Iterable[Acting], rows: Sequence[Floats], out: Floats, more: Floats, asked: str = ""
 ) -> None:
     a, b, c, d = (*rows, rows[0], rows[0], rows[0])[:4]
-    for effect, told, values in effects:
+    for effect, side, values in effects:
         known = _LOOPS.get((id(effect), asked))
         if known is None:
             loop = effect, _loop(effect, asked or effect.site)
             known = _LOOPS.setdefault((id(effect), asked), loop)
-        known[1].along(a, b, c, d, told, values, out, more)
+        known[1].along(a, b, c, d, side, values, out, more)
 
 
 def signal_along(effects: Iterable[Acting], u: Floats, t: Floats) -> Floats:

@@ -24,7 +24,7 @@ CONTACTS = ("eq21", "two_state")  # laws of the meshes: paper Eq. 21, and what i
 
 MIN_COMPLIANCE = 1e-6  # rad/(N·m); below, the reducer's own mode is beyond the step and rigid
 PINIONS, RING, MOTORS = (0, 1), 2, (3, 4)  # bodies
-# site -> parts where it acts, and the side or body that the kernel is told
+# site -> parts where it acts, and the side or body that the kernel takes
 _PLACES: dict[str, tuple[tuple[int, int], ...]] = {
     "drive": ((0, 0), (1, 1)),
     "lag": ((0, 0), (1, 1)),
@@ -56,7 +56,7 @@ class Catalogue(NamedTuple):
 def catalogue() -> Catalogue:
     """Return the places of the catalogue as it is now, the same ones for the same effects.
 
-    A fit asks hundred thousands of times. Effects are told apart by identity, for to compare all
+    A fit asks hundred thousands of times. Effects are compared by identity, for to compare all
     their numbers takes longer than what is asked for. Threads that ask at once get one answer.
     """
     with LOADING:
@@ -71,8 +71,8 @@ def _catalogue(_: tuple[int, ...]) -> Catalogue:
     absent: list[float] = []
     for flag, effect in enumerate(effects):
         slots[effect.name] = flag, len(absent)
-        for index, told in _PLACES.get(effect.site, ()):
-            places.append(Place(effect, index, told, *slots[effect.name]))
+        for index, side in _PLACES.get(effect.site, ()):
+            places.append(Place(effect, index, side, *slots[effect.name]))
         absent += effect.defaults()
     for side in (0, 1):
         places.append(Place(STIFFNESS_VARIATION, side, side, len(effects), len(absent)))
@@ -147,7 +147,7 @@ def plant_with(model: "Model", contact: str) -> Plant:
     if contact == "eq21":
         return plant
     if model.drive["c"] + model.drive["c_f"] <= 0.0:
-        raise ValueError("c + c_f is 0: nothing tells where in its gap an undamped tooth is")
+        raise ValueError("c + c_f is 0: an undamped tooth has no place in its gap")
     laws = np.where(plant.link_gap == GAP, TWO_STATES, plant.link_gap)
     return plant._replace(link_gap=laws)
 

@@ -87,12 +87,12 @@ class _Text:
     def add(self, *lines: str) -> None:
         self.lines += [f"    {line}" for line in lines]
 
-    def act(self, kind: str, part: int, changed: str, *told: str, lever: str = "") -> None:
+    def act(self, kind: str, part: int, changed: str, *values: str, lever: str = "") -> None:
         """What effects change at a site: by its function, or behind their flags where inline."""
         arguments, change = CHANGES[kind]
         names = [changed] if "," not in changed else changed.split(", ")
         if not self.s.either:
-            given = dict(zip("abcd", told, strict=False))
+            given = dict(zip("abcd", values, strict=False))
             own = arguments.format(*names, **given)
             self.effects(
                 places_at(self.s, kind, part),
@@ -101,8 +101,8 @@ class _Text:
         elif (kind, part) in self.sites.index:
             n, k = self.sites.index[kind, part], self.sites.function[kind, part]
             row = ", ".join(f"r[{i}]" for i in range(len(names)))
-            zeros = ["0.0"] * (4 - len(told))
-            given_ = ", ".join([*told, *zeros, "t", lever.removesuffix(" * ") or "1.0", str(n)])
+            zeros = ["0.0"] * (4 - len(values))
+            given_ = ", ".join([*values, *zeros, "t", lever.removesuffix(" * ") or "1.0", str(n)])
             self.add(
                 f"if acts[{n}]:",
                 f"    {row} = {changed}",
@@ -134,7 +134,7 @@ class _Text:
         e = "e[{}]" if self.s.switched and not self.rows else "e{}"
         values = ", ".join(e.format(p.first + j) for j in range(len(p.effect.parameters)))
         i = str(self.numbers[id(p)])
-        return kernel_call(i, ", ".join(arguments), p.effect.site, str(p.told), values)
+        return kernel_call(i, ", ".join(arguments), p.effect.site, str(p.side), values)
 
     def turned(self, body: int, name: str) -> str:
         """Motion of a body by that of its coordinate."""

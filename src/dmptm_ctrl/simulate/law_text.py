@@ -21,7 +21,7 @@ class Wiring(NamedTuple):
     angle: int | None  # sensor of its angle
     away: tuple[tuple[int, int, int], ...]  # link, coordinate, the next from the body on
     paths: tuple[tuple[int, ...], ...]  # from the body's coordinate to each input's
-    told: tuple[
+    sensed: tuple[
         tuple[int, int | None, int], ...
     ]  # coordinate, None and its sensor; link, neighbour
 
@@ -35,7 +35,7 @@ class Wiring(NamedTuple):
     @property
     def sensors(self) -> tuple[int, ...]:
         """Sensors that are read."""
-        own = {sensor for _, link, sensor in self.told if link is None}
+        own = {sensor for _, link, sensor in self.sensed if link is None}
         return tuple(sorted(own | ({self.speed} if self.speed is not None else set())))
 
 
@@ -60,9 +60,9 @@ def wiring(s: Structure, inputs: tuple[int, ...], sensor: int) -> Wiring:
         if g == root or g in before:
             angles.setdefault(g, i)
     own = sorted(angles, key=lambda g: g == root)
-    told = [(g, None, angles[g]) for g in own] + [(c, k, g) for k, g, c in _walk(s, own)]
+    sensed = [(g, None, angles[g]) for g in own] + [(c, k, g) for k, g, c in _walk(s, own)]
     speed = sensor if measures_speed else None
-    ends = tuple(away), tuple(paths), tuple(told)
+    ends = tuple(away), tuple(paths), tuple(sensed)
     return Wiring(inputs, body, speed, angles.get(root), *ends)
 
 
@@ -226,14 +226,14 @@ def _forward(s: Structure, w: Wiring, text: _Text) -> None:
     moving = [root, *(c for _, _, c in w.away)]
     for g in moving:
         text.add(f"v{g} = reach{g} * speed")
-    told = dict.fromkeys(moving, "0.0")
-    for g, link, source in w.told:
+    sensed = dict.fromkeys(moving, "0.0")
+    for g, link, source in w.sensed:
         if link is None:
-            told[g] = f"a{source} / {_lever(s, s.sensors[source][0])}"
+            sensed[g] = f"a{source} / {_lever(s, s.sensors[source][0])}"
         else:
-            told[g] = f"measured{source} * {_reach(s, link, source)}"
-    for g in [*(g for g, *_ in w.told), *(g for g in moving if told[g] == "0.0")]:
-        text.add(f"measured{g} = {told[g]}")
+            sensed[g] = f"measured{source} * {_reach(s, link, source)}"
+    for g in [*(g for g, *_ in w.sensed), *(g for g in moving if sensed[g] == "0.0")]:
+        text.add(f"measured{g} = {sensed[g]}")
     for g in moving:
         text.add(f"x{g} = measured{g} + law[{core.L_LEAD}] * v{g}")
     text.add(f"way = direction_of(speed, law[{core.L_SOFTNESS}])")

@@ -42,7 +42,7 @@ def along_path(
     """
     relaxation = (p.damping + p.gap_damping) / p.stiffness
     if relaxation <= 0.0:
-        raise ValueError("c + c_f is 0: nothing tells where in its gap an undamped tooth is")
+        raise ValueError("c + c_f is 0: an undamped tooth has no place in its gap")
     n = int(np.ceil(duration / relaxation * STEPS))
     h = duration / n
     time = np.asarray(h * np.arange(n + 1), float)

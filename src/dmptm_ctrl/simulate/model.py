@@ -102,12 +102,12 @@ class Model:
 
     def over(self, seconds: float) -> "Model":
         """Return the model for a log of a length [s], where an effect depends on it."""
-        told = {
+        timed = {
             name: {**values, LOG_LENGTH: seconds}
             for name, values in self.effects.items()
             if LOG_LENGTH in CATALOGUE[name].shapes
         }
-        return Model(self.drive, {**self.effects, **told}) if told else self
+        return Model(self.drive, {**self.effects, **timed}) if timed else self
 
     def plant(self) -> "Plant":
         """Return the parts and numbers that the simulator takes."""

@@ -60,28 +60,28 @@ class Parts:
                 row = plant.values[place.first : place.first + count].tolist()
                 found = self._acting.setdefault((place.effect.site, place.part), [])
                 values = place.effect.values(*row)
-                found.append((uncompiled(place.effect.kernel), place.told, values))
+                found.append((uncompiled(place.effect.kernel), place.side, values))
         self.rubbing = [[b for b in own if self.rubs(b)] for own in self.bodies]
         self.elastic = [
             next((b for b in own if plant.bristles[b, 0] > 0.0), None) for own in self.bodies
         ]
 
     def at(self, site: str, index: int) -> list[tuple[Callable[..., Any], int, Any]]:
-        """Kernel, what it is told and its parameters, of the effects at a place."""
+        """Kernel, its side and its parameters, of the effects at a place."""
         return self._acting.get((site, index), [])
 
     def signal(self, j: int, u: float, t: float) -> float:
         """Signal of an input after the effects on it and its limit."""
-        for kernel, told, p in self.at("drive", j):
-            u = kernel(u, t, told, p)
+        for kernel, side, p in self.at("drive", j):
+            u = kernel(u, t, side, p)
         limit = self.inputs[j][3]
         return min(limit, max(-limit, u)) if limit > 0.0 else u
 
     def lag(self, j: int, u: float) -> tuple[float, float]:
         """Where the acting signal of an input relaxes to, and its time constant [s]."""
         tau = self.inputs[j][2]
-        for kernel, told, p in self.at("lag", j):
-            u, more = kernel(u, told, p)
+        for kernel, side, p in self.at("lag", j):
+            u, more = kernel(u, side, p)
             tau += more
         return u, tau
 
@@ -89,8 +89,8 @@ class Parts:
         """Twist of a link, its rate and its :class:`Backlash`, by the motion of its bodies."""
         ratio, stiffness, damping, gap_damping, half_gap = self.links[k]
         z, rate = q1 - ratio * q2, v1 - ratio * v2
-        for kernel, told, p in self.at("mesh", k):
-            shift = kernel(q1, v1, q2, v2, told, p)
+        for kernel, side, p in self.at("mesh", k):
+            shift = kernel(q1, v1, q2, v2, side, p)
             z, rate = z + shift[0], rate + shift[1]
             half_gap, stiffness = half_gap + shift[2], stiffness + shift[3]
         return z, rate, Backlash(stiffness, damping, gap_damping, max(half_gap, 0.0))
@@ -110,8 +110,8 @@ class Parts:
     def torque(self, b: int, volts: float, theta: float, omega: float, t: float) -> float:
         """Torque that effects add on a body [N·m]."""
         added = 0.0
-        for kernel, told, p in self.at("motor", b):
-            added += kernel(volts, theta, omega, t, told, p)
+        for kernel, side, p in self.at("motor", b):
+            added += kernel(volts, theta, omega, t, side, p)
         for kernel, _, p in self.at("load", b):
             added += kernel(theta, omega, t, p)
         return added
@@ -130,8 +130,8 @@ class Parts:
     def ageing(self, b: int, age: float) -> tuple[float, float]:
         """Coulomb torque added at the age of a contact [N·m], slip that makes it new [rad]."""
         added, slip = 0.0, 0.0
-        for kernel, told, p in self.at("ageing", b):
-            torque, distance = kernel(age, told, p)
+        for kernel, side, p in self.at("ageing", b):
+            torque, distance = kernel(age, side, p)
             added, slip = added + torque, max(slip, distance)
         return added, slip
 
@@ -141,8 +141,8 @@ class Parts:
         The factor acts on what other effects add as well: a warm bearing has less of all friction.
         """
         scale, added = 1.0, self.ageing(b, age)[0]
-        for kernel, told, p in self.at("friction", b):
-            factor, more = kernel(theta, omega, t, load, told, p)
+        for kernel, side, p in self.at("friction", b):
+            factor, more = kernel(theta, omega, t, load, side, p)
             scale, added = scale * factor, added + more
         return scale, scale * added
 

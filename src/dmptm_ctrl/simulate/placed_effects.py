@@ -59,7 +59,7 @@ class PlacedEffect(NamedTuple):
     effect: Effect  # owner of the kernel
     keep: tuple[Parameter, ...]  # those that one place has, in its own naming
     fields: tuple[int | float, ...]  # of the kernel's parameters: which of `keep`, or a constant
-    told: int = RING  # side or body that the kernel is told
+    side: int = RING  # side or body that the kernel takes
 
     @property
     def name(self) -> str:
@@ -123,11 +123,11 @@ class PlacedEffect(NamedTuple):
 
 def whole(effect: Effect) -> PlacedEffect:
     """Return an effect whose parameters belong to one place as they are."""
-    told = RING if effect.site in ("friction", "presliding", "ageing") else 0
-    return PlacedEffect(effect, effect.parameters, tuple(range(len(effect.parameters))), told)
+    side = RING if effect.site in ("friction", "presliding", "ageing") else 0
+    return PlacedEffect(effect, effect.parameters, tuple(range(len(effect.parameters))), side)
 
 
-def _one_side(name: str, names: dict[str, str], told: int = 0, search: str = "") -> PlacedEffect:
+def _one_side(name: str, names: dict[str, str], side: int = 0, search: str = "") -> PlacedEffect:
     """Return an effect with parameters per side, reduced to one side.
 
     `names` maps the kernel's parameters to those of a place; the others are zero. `search`
@@ -138,7 +138,7 @@ def _one_side(name: str, names: dict[str, str], told: int = 0, search: str = "")
     keep = [p._replace(name=names[p.name]) for p in effect.parameters if p.name in names]
     kept = [p.name for p in keep]
     fields = [kept.index(names[p.name]) if p.name in names else 0.0 for p in effect.parameters]
-    return PlacedEffect(effect, tuple(keep), tuple(fields), told)
+    return PlacedEffect(effect, tuple(keep), tuple(fields), side)
 
 
 _DRIFT, _LOAD = effect_of("thermal_drift"), effect_of("load_dependent_friction")
@@ -266,6 +266,6 @@ def all_places(
         for k, part in enumerate(parts_):
             for chain in (c for c in chains if c.place == kind):
                 index[f"{chain.name}@{part}"] = len(places), first
-                places.append(Place(chain.effect, k, chain.told, len(places), first))
+                places.append(Place(chain.effect, k, chain.side, len(places), first))
                 first += len(chain.fields)
     return tuple(places), index, np.hstack([p.effect.defaults() for p in places])

@@ -37,7 +37,7 @@ class Place(NamedTuple):
 
     effect: Effect
     part: int  # number of the input, body, link or sensor where it acts
-    told: int  # side or body that the kernel is told
+    side: int  # side or body that the kernel takes
     # where its flag and first number stand in `Plant.on`, `.values`; who shares them is tied
     flag: int
     first: int

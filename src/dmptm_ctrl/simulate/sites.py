@@ -16,7 +16,7 @@ from dmptm_ctrl.simulate import elementary
 from dmptm_ctrl.simulate.loading import LOADING, key_of, load
 from dmptm_ctrl.simulate.plant import NO_FLAGS, Flags, Ints, Place, Plant, Structure
 
-# kind -> arguments of its kernels, and what they change: {0} to {3}, from what they are told
+# kind -> arguments of its kernels, and what they change: {0} to {3}, from what they get
 CHANGES = {
     "drive": ("{0}, t", "{0} = {call}"),
     "lag": ("{0}", "c = {call}; {0} = c[0]; {1} = {1} + c[1]"),
@@ -33,7 +33,7 @@ CHANGES = {
 }
 CHANGES["turning"] = CHANGES["friction"]  # by the direction of the motion too
 _SITE = {"slip": "ageing", "aged": "ageing", "turning": "friction"}
-_UNTOLD = ("load", "sensor")  # kernels that are told no side
+_WITHOUT_SIDE = ("load", "sensor")  # kernels that take no side
 _NO_POSTS = np.zeros(0, np.int64)
 _ARRAYS = int64, uint8, float64, float64
 SIGNATURE = types.void(*[float64] * 6, int64, *map(types.CPointer, _ARRAYS))
@@ -48,15 +48,15 @@ from dmptm_ctrl.simulate.sites import SIGNATURE
 
 @partial(compiled_callback, SIGNATURE, cache=True, error_model="numpy", fastmath=FAST)
 def at_site(a, b, c, d, t, lever, n, posts, on, e, r):
-    told, flag, first = posts[3 * n], posts[3 * n + 1], posts[3 * n + 2]
+    side, flag, first = posts[3 * n], posts[3 * n + 1], posts[3 * n + 2]
 {lines}
 """
 
 
-def kernel_call(name: str, arguments: str, site: str, told: str, values: str) -> str:
+def kernel_call(name: str, arguments: str, site: str, side: str, values: str) -> str:
     """Text that calls a kernel."""
-    told = "" if site in _UNTOLD else f"{told}, "
-    return f"kernel_{name}({arguments}, {told}Values_{name}({values}))"
+    side = "" if site in _WITHOUT_SIDE else f"{side}, "
+    return f"kernel_{name}({arguments}, {side}Values_{name}({values}))"
 
 
 def uses_speed(effect: Effect) -> bool:
@@ -79,7 +79,7 @@ class _One(NamedTuple):
     """An effect at a site; its side, flag and numbers from those of the first."""
 
     effect: Effect
-    told: int | None  # None: as the first
+    side: int | None  # None: as the first
     flag: int
     first: int
 
@@ -102,9 +102,9 @@ class Sites:
                 places = places_at(s, kind, part)
                 if not places:
                     continue
-                told, flag, first = places[0].told, places[0].flag, places[0].first
+                side, flag, first = places[0].side, places[0].flag, places[0].first
                 key = kind, tuple(
-                    _One(p.effect, None if p.told == told else p.told, p.flag - flag,
+                    _One(p.effect, None if p.side == side else p.side, p.flag - flag,
                          p.first - first)
                     for p in places
                 )  # fmt: skip
@@ -112,7 +112,7 @@ class Sites:
                 if key not in self._own:
                     self._own.append(key)
                 self.function[kind, part] = self._own.index(key)
-                posts += [told, flag, first]
+                posts += [side, flag, first]
                 self._begins.append(len(self._flags))
                 self._flags += [p.flag for p in places]
         self.posts: Ints = np.array(posts, np.int64)
@@ -156,7 +156,7 @@ def _function(kind: str, effects: tuple[_One, ...]) -> Any:
     names = {"lever": "lever * ", **{x: x for x in "abcd"}}
     changed = [f"r[{i}]" for i in range(4)]
     lines, kernels = [], []
-    for i, (effect, told, flag, first) in enumerate(effects):
+    for i, (effect, side, flag, first) in enumerate(effects):
         kernels += [
             f"kernel_{i} = hosted(EFFECTS[{i}].kernel)",
             f"Values_{i} = EFFECTS[{i}].values",
@@ -164,7 +164,7 @@ def _function(kind: str, effects: tuple[_One, ...]) -> Any:
         values = ", ".join(f"e[first + {first + j}]" for j in range(len(effect.parameters)))
         call = kernel_call(
             str(i), arguments.format(*changed, **names), effect.site,
-            "told" if told is None else str(told), values,
+            "side" if side is None else str(side), values,
         )  # fmt: skip
         lines.append(f"    if on[flag + {flag}]:")
         parts = change.replace("c = ", "o = ").replace("c[", "o[").split("; ")

@@ -37,7 +37,7 @@ def mesh_step(z, z_rate, law, before, h):
 
 @njit
 def plain_mesh(z, z_rate, law, before):
-    """Do the same where it is simple; and tell with 1 where it is not, with 0 where it is."""
+    """Do the same where it is simple; and return 1 where it is not, 0 where it is."""
     side = 1.0 if z >= 0.0 else -1.0
     spring, closing = law.stiffness * (side * z - law.half_gap), side * z_rate
     touches = spring + law.damping * closing > 0.0

@@ -7,19 +7,19 @@ NamedTuple of the effect. `side` is 0 for the left motor and pinion, 1 for the r
 0, 1 for the reducers and 2 for the ring gear. Units are SI and radians. The `age` of a body's
 contact grows with time and falls with its slip; the runners keep it.
 
-| site     | kernel                                              | returns                                    |
-|----------|-----------------------------------------------------|--------------------------------------------|
-| drive    | (u, t, side, p)                                     | voltage after the effect [V]               |
-| delay    | (side, p)                                           | dead time of the voltage [s]               |
-| lag      | (u, side, p)                                        | (target [V], time constant [s])            |
-| motor    | (u, theta_m, omega_m, t, side, p)                   | torque on the motor shaft [N·m]            |
-| shaft    | (inertia, p)                                        | (compliance [rad/(N·m)], damping [N·m·s/rad]) at the pinion |
-| mesh     | (theta_p, omega_p, theta_L, omega_L, side, p)       | (shift of z [rad], its rate, change of half-gap [rad], change of stiffness [N·m/rad]) |
-| friction | (theta, omega, t, mesh_torque, body, p)             | (factor on all friction, Coulomb torque added [N·m])     |
-| presliding | (body, p)                                         | (relaxation distance [rad], share of viscous friction that acts at once, damping ratio of the bristles) |
-| ageing   | (age, body, p)                                      | (Coulomb torque added [N·m], slip that makes the contact new [rad]) |
-| load     | (theta_L, omega_L, t, p)                            | torque on the ring gear [N·m]              |
-| sensor   | (theta_L, omega_L, t, p)                            | (angle reading [rad], speed reading [rad/s]) |
+| site         | kernel                                              | returns                                    |
+|--------------|-----------------------------------------------------|--------------------------------------------|
+| amplifier    | (u, t, side, p)                                     | voltage after the effect [V]               |
+| delay        | (side, p)                                           | dead time of the voltage [s]               |
+| lag          | (u, side, p)                                        | (target [V], time constant [s])            |
+| motor        | (u, theta_m, omega_m, t, side, p)                   | torque on the motor shaft [N·m]            |
+| shaft        | (inertia, p)                                        | (compliance [rad/(N·m)], damping [N·m·s/rad]) at the pinion |
+| mesh         | (theta_p, omega_p, theta_L, omega_L, side, p)       | (shift of z [rad], its rate, change of half-gap [rad], change of stiffness [N·m/rad]) |
+| friction     | (theta, omega, t, mesh_torque, body, p)             | (factor on all friction, Coulomb torque added [N·m])     |
+| presliding   | (body, p)                                         | (relaxation distance [rad], share of viscous friction that acts at once, damping ratio of the bristles) |
+| dwell        | (age, body, p)                                      | (Coulomb torque added [N·m], slip that makes the contact new [rad]) |
+| load         | (theta_L, omega_L, t, p)                            | torque on the ring gear [N·m]              |
+| sensor       | (theta_L, omega_L, t, p)                            | (angle reading [rad], speed reading [rad/s]) |
 | sensor_delay | (p)                                             | dead time of the speed reading [s]         |
 """
 
@@ -28,7 +28,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 SITES = (
-    *("drive", "delay", "lag", "motor", "shaft", "mesh", "friction", "presliding", "ageing"),
+    *("amplifier", "delay", "lag", "motor", "shaft", "mesh", "friction", "presliding", "dwell"),
     *("load", "sensor", "sensor_delay"),
 )
 # what shows an effect

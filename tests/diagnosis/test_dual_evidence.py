@@ -20,7 +20,7 @@ from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.identify.balance import (
     FLOOR,
     FREEDOM,
-    NEWS,
+    INDEPENDENT,
     correlation_lengths,
     robust_scale,
     scatter,
@@ -83,7 +83,7 @@ def test_correlated_noise_counts_less(pole):
     """A first-order process has (1 + φ)/(1 − φ) samples to one; overlap is counted already."""
     alone, overlapped = correlation_lengths([noise(2, pole)] * 2, ["ripple", "total"])
     assert alone == pytest.approx((1.0 + pole) / (1.0 - pole), rel=0.2)
-    assert overlapped == pytest.approx(max(1.0, NEWS["total"] * alone), rel=1e-2)
+    assert overlapped == pytest.approx(max(1.0, INDEPENDENT["total"] * alone), rel=1e-2)
 
 
 @pytest.mark.parametrize("size", [0.3, 4.0])
@@ -103,7 +103,7 @@ def test_surprise_is_the_likelihood_of_students_t(kind):
     x = 2.0 * student.rvs(FREEDOM, size=500, random_state=6)
     (s,) = scatter([x], [kind])
     top = x.size * student.logpdf(0.0, FREEDOM)
-    share = NEWS.get(kind, NEWS["chain"])
+    share = INDEPENDENT.get(kind, INDEPENDENT["chain"])
     told = 2.0 * share * (top - student.logpdf(x, FREEDOM, scale=s).sum())
     assert surprise([x], [kind]) == pytest.approx(told, rel=1e-9)
     several = [x, 3.0 * x], [kind, "total"]

@@ -447,7 +447,7 @@ def test_every_effect_can_be_fitted(rubbing):
     state = evidence.adopt(base, friction)
     for trial in state.trials:
         fit = fit_rig(trial.placed_in(state.fit.state), evidence.logs, iterations=1, jobs=1)
-        assert all(np.isfinite(part).all() for part in fit.slopes), trial.key
+        assert all(np.isfinite(part).all() for part in fit.derivatives), trial.key
         assert np.isfinite([fit.state.get(f) for f in fit.frees]).all(), trial.key
 
 

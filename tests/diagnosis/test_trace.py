@@ -67,5 +67,7 @@ def test_gains_inside_the_ranges_are_those_of_bounded_regressions(traced, name):
         return 2.0 * found.cost
 
     tall = np.pad(columns, [(0, inside.rows), (0, 0)])
-    fall = cost(inside.slopes, 0) - cost(np.hstack([inside.slopes, tall]), columns.shape[1])
+    fall = cost(inside.derivatives, 0) - cost(
+        np.hstack([inside.derivatives, tall]), columns.shape[1]
+    )
     assert inside.bounded_gain(columns) == pytest.approx(fall, rel=1e-6, abs=1e-8)

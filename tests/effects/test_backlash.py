@@ -11,7 +11,7 @@ from dmptm_ctrl.effects.backlash import (
     Backlash,
     gap_position,
     gap_rate,
-    landing,
+    impact_step,
     mesh_region,
     mesh_torque,
     region_torque,
@@ -153,12 +153,12 @@ def test_mesh_never_gives_more_energy_than_its_teeth_hold(z, rate, damping, gap_
 
 
 @pytest.mark.parametrize("rate", [0.3, -2.0])
-def test_landing_tells_age_and_step(rate):
+def test_impact_has_its_age_and_step(rate):
     """At constant rate: the time since the region changed, and the torque's jump there."""
     side = np.sign(rate)
     flank = PAPER.half_gap + PAPER.gap_damping / PAPER.stiffness * abs(rate)
     before = mesh_torque(side * (flank - 1e-12), rate, PAPER)
     after = mesh_torque(side * (flank + 1e-12), rate, PAPER)
-    age, step = landing(side * flank + rate * 2e-5, rate, PAPER)
+    age, step = impact_step(side * flank + rate * 2e-5, rate, PAPER)
     assert age == pytest.approx(2e-5, rel=1e-6)
     assert step == pytest.approx(after - before, rel=1e-6)

@@ -9,7 +9,7 @@ from dmptm_ctrl.effects import CATALOGUE, register
 from dmptm_ctrl.effects.unbalance import UNBALANCE
 
 ARGUMENTS = {
-    "drive": ("u", "t", "side"),
+    "amplifier": ("u", "t", "side"),
     "delay": ("side",),
     "lag": ("u", "side"),
     "motor": ("u", "theta_m", "omega_m", "t", "side"),
@@ -17,7 +17,7 @@ ARGUMENTS = {
     "mesh": ("theta_p", "omega_p", "theta_L", "omega_L", "side"),
     "friction": ("theta", "omega", "t", "mesh_torque", "body"),
     "presliding": ("body",),
-    "ageing": ("age", "body"),
+    "dwell": ("age", "body"),
     "load": ("theta_L", "omega_L", "t"),
     "sensor": ("theta_L", "omega_L", "t"),
     "sensor_delay": (),

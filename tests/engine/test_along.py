@@ -19,7 +19,7 @@ from dmptm_ctrl.simulate.along import (
 from dmptm_ctrl.simulate.model import Model
 
 N, DT = 203, 1e-3
-SITES = ("drive", "motor", "mesh", "friction", "load")
+SITES = ("amplifier", "motor", "mesh", "friction", "load")
 NAMES = [name for name, effect in CATALOGUE.items() if effect.site in SITES]
 
 
@@ -63,7 +63,7 @@ def one_by_one(model, u, run, load, passes):
         way, carried = np.sign(omega), 0.0
         for side in (0, 1):
             turn, v = run[i, 2 + side], u[side, i]
-            if effect.site == "drive":
+            if effect.site == "amplifier":
                 torque[side, i] = n1 * gain * (kernel(v, t, side, p) - v)
             if effect.site == "motor":
                 torque[side, i] = n1 * kernel(v, turn, n1 * n2 * omega, t, side, p)

@@ -59,7 +59,7 @@ SIZES = {
     "drive_offset": {"offset": 0.1},
 }
 PARTS = {
-    "input": ["drive"],
+    "input": ["amplifier"],
     "body": ["motor", "arm"],
     "link": ["gear"],
     "sensor": ["near", "far"],

@@ -20,7 +20,7 @@ POSITIVE = ("inertia", "age")
 OTHER = {
     "gap_position": (backlash.gap_position, backlash.Backlash),
     "mesh_torque": (backlash.mesh_torque, backlash.Backlash),
-    "landing": (backlash.landing, backlash.Backlash),
+    "impact_step": (backlash.impact_step, backlash.Backlash),
     "sliding_torque": (stribeck.sliding_torque, stribeck.Stribeck),
     "viscous_torque": (stribeck.viscous_torque, stribeck.Stribeck),
     "build_up_distance": (presliding.build_up_distance, stribeck.Stribeck),

@@ -9,8 +9,8 @@ from dmptm_ctrl.diagnosis.impact_chatter import (
     fed_back,
     powers,
     quiet,
-    rattled,
     tie,
+    with_chatter,
 )
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
@@ -33,7 +33,7 @@ def test_damping_from_rattle(seed, friction):
     measured = measure(logs, drive)
     start = residual(measured, Model(drive)).base
     values, spread = start.p.copy(), start.covariance.copy()
-    done = rattled(measured.fit, start, drive, 2)
+    done = with_chatter(measured.fit, start, drive, 2)
     np.testing.assert_array_equal(start.p, values)  # it is left as it was
     np.testing.assert_array_equal(start.covariance, spread)
     found = done.model.drive["c"]
@@ -54,7 +54,7 @@ def test_known_damping_is_left_alone():
     start = residual(measured, Model(drive)).base
     fixed = tuple(k for k in start.unknowns if k.name not in ("c", "c_f"))
     known = residual(measured, Model(drive), unknowns=fixed).base
-    done = rattled(measured.fit, known, drive, 2)
+    done = with_chatter(measured.fit, known, drive, 2)
     assert done.model.drive["c"] == 2.0
     np.testing.assert_allclose(done.p, known.p, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(done.covariance, known.covariance)

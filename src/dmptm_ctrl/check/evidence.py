@@ -22,7 +22,13 @@ from dmptm_ctrl.identify.free_parameters import Free, free_parameters, log_param
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.likelihood import Likelihood, size_of, weights_of
 from dmptm_ctrl.identify.records import Record, record, started
-from dmptm_ctrl.identify.rig_fit import ROWS_PER_NEWS, fit_rig, jacobian, noise_taken_out, residuals
+from dmptm_ctrl.identify.rig_fit import (
+    ROWS_PER_INDEPENDENT,
+    fit_rig,
+    jacobian,
+    noise_taken_out,
+    residuals,
+)
 from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.simulate.any_model import AnyModel
@@ -61,7 +67,7 @@ class Evidence:
     stretch: NDArray[np.int64]  # (m,): rows of one second, log and equation may be wrong alike
     torque_rms: float  # of the whole drive's balance, robust against bursts
     unit: str
-    # what the noise of readings adds to JᵀJ and Jᵀe, J the slopes and e what is left
+    # what the noise of readings adds to JᵀJ and Jᵀe, J the derivatives and e what is left
     noise: tuple[Floats, Floats] | None = None
 
 
@@ -175,13 +181,13 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int) -> Evidence:
         for e, heavy in enumerate(balance.bursts):  # as a fit weighs them
             own = equation == e
             level = size_of(rest[own], heavy) or 1.0
-            weight[own] = weights_of(rest[own], 1.0 / ROWS_PER_NEWS, level, heavy)
+            weight[own] = weights_of(rest[own], 1.0 / ROWS_PER_INDEPENDENT, level, heavy)
         return weight
 
     prior = np.array([inf if f.prior is None else f.prior[1] / f.scale for f in frees])
     weight = _settled(flat, columns, prior, weigh)
     flat, columns = weight * flat, weight[:, None] * columns
-    like = Likelihood(balance, np.full(count, 1.0 / ROWS_PER_NEWS)).knowing(model, left)
+    like = Likelihood(balance, np.full(count, 1.0 / ROWS_PER_INDEPENDENT)).knowing(model, left)
     scales = np.sqrt(like.counts / np.bincount(equation, weight**2))
     square, gradient = columns.T @ columns, columns.T @ flat
     clear = noise_taken_out(state, frees, like, scales, square, -gradient)

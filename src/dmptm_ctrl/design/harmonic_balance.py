@@ -27,7 +27,7 @@ from dmptm_ctrl.contract import SITES
 from dmptm_ctrl.design.harmonics import Basis, Cycle, block, packed_first, rate_at_begin, widened
 from dmptm_ctrl.design.preload import volt_at_pinion
 from dmptm_ctrl.drive import pinion_inertia
-from dmptm_ctrl.effects.backlash import Backlash, landing, mesh_region, region_torque
+from dmptm_ctrl.effects.backlash import Backlash, impact_step, mesh_region, region_torque
 from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
 from dmptm_ctrl.simulate.dual import RING
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -51,8 +51,8 @@ def mesh_along(z, z_rate, law, step, out):  # type: ignore[no-untyped-def]
     """Torque of a mesh along a period, its derivatives by z, ż and log ω, rows of `out` (4, n).
 
     Points are means over `step` seconds: where a flank is reached between two of them the jump
-    counts for as long as it has acted. So the torque moves with the landing, not in steps of
-    a point, and its derivatives know that a landing moves.
+    counts for as long as it has acted. So the torque moves with the impact, not in steps of
+    a point, and its derivatives know that an impact moves.
     """
     before = mesh_region(z[-1], z_rate[-1], law)
     for i in range(z.size):
@@ -62,7 +62,7 @@ def mesh_along(z, z_rate, law, step, out):  # type: ignore[no-untyped-def]
         out[2, i] = law.gap_damping if region == 0.0 else law.damping
         out[3, i] = 0.0
         if region != before and region * z_rate[i] > 0.0:
-            age, jump = landing(z[i], z_rate[i], law)
+            age, jump = impact_step(z[i], z_rate[i], law)
             share = age / step
             if 0.0 <= share <= 1.0:
                 flight = region * z[i] - law.half_gap

@@ -261,7 +261,7 @@ def feed_forward_start(
         late=float(plant.sensor_delay[seen]) + late,
         acceleration=aims.acceleration,
         distance=START_DISTANCE * hidden_distance(model),
-        invert=any(p.effect.site == "drive" and plant.on[p.flag] for p in plant.places),
+        invert=any(p.effect.site == "amplifier" and plant.on[p.flag] for p in plant.places),
         model=repeatable(model),
         input=input,
         sensor=sensor,

@@ -12,7 +12,7 @@ from dmptm_ctrl.simulate.model import Floats
 
 BURST = 12.0  # standard deviations of a window that no curve has to explain
 FAINT = 6.0  # the same, if such windows come by the clock
-BURSTS = 0.004  # share of windows that are bursts; rattle alone gives less
+BURSTS = 0.004  # share of windows that are bursts; impact chatter alone gives less
 PERIODS = np.geomspace(0.25, 5.0, 1500)  # s, tried for bursts at fixed intervals
 WHOLE = 0.8  # of the greatest regularity, at which a longer interval counts as well
 FINE, FINER = 0.004, 101  # share about a period in which it is looked for once more, trials

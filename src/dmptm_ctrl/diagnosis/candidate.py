@@ -126,13 +126,13 @@ class State(Protocol):
 
 
 class Rows(NamedTuple):
-    """A model and candidates to first order: what is left is ``left + slopes @ d + columns @ a``.
+    """A model and candidates to first order: ``left + derivatives @ d + columns @ a`` is left.
 
     Attributes
     ----------
     left : (m,) array
         Weighted residual, and the misfit of the declared ranges.
-    slopes : (m, p) array
+    derivatives : (m, p) array
         Its derivatives by the model's parameters.
     low, high : (p,) arrays
         How far each parameter can go.
@@ -141,7 +141,7 @@ class Rows(NamedTuple):
     """
 
     left: Floats
-    slopes: Floats
+    derivatives: Floats
     low: Floats
     high: Floats
     columns: Mapping[Keys, Floats]

@@ -15,7 +15,7 @@ from dmptm_ctrl.diagnosis.dual_report import (
     unnamed,
 )
 from dmptm_ctrl.diagnosis.experiment import next_experiment
-from dmptm_ctrl.diagnosis.impact_chatter import rattled
+from dmptm_ctrl.diagnosis.impact_chatter import with_chatter
 from dmptm_ctrl.diagnosis.judge import judge, rise
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.negligible import without_negligible
@@ -60,9 +60,9 @@ def diagnose_dual(
         left = of_windows(selection.final.left)
         rest = unexplained(base.left, left, sum(e.evidence for e in selection.entries))
         rest, tables = in_tables(left, rest, jobs) if rest is not None else (None, None)
-        before = rattled(measured.fit, base.left.base, declared, jobs)
+        before = with_chatter(measured.fit, base.left.base, declared, jobs)
         best = tables.left if tables else selection.final.left
-        after = rattled(measured.fit, best.base, declared, jobs)
+        after = with_chatter(measured.fit, best.base, declared, jobs)
         judged = judge(measured, evidence, selection, (before, after), tables, rest, jobs)
         final = on_all_logs(measured, best, after, declared, jobs)
         effects = [
@@ -112,4 +112,4 @@ def on_all_logs(measured: Measured, left: Residual, after: Fit, declared: Drive,
         done = predicting_fit(replace(balance, led=True), done)
     except LogError:  # no window may be left where the fitted model decides which pinions touch
         return after
-    return rattled(everything, done, declared, jobs)
+    return with_chatter(everything, done, declared, jobs)

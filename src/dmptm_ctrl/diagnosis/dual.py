@@ -194,7 +194,7 @@ class DualEvidence:
     def rows(self, state: DualState, candidates: Sequence[Candidate]) -> Rows:
         view = state.trace
         columns = {c.keys: np.pad(_columns(view, c), ((0, view.rows), (0, 0))) for c in candidates}
-        return Rows(view.whole, view.slopes, *view.room, columns)
+        return Rows(view.whole, view.derivatives, *view.room, columns)
 
     def together(self, state: DualState, candidates: Sequence[Candidate]) -> Candidate:
         model, unknowns = state.left.base.model, state.left.base.unknowns
@@ -203,8 +203,8 @@ class DualEvidence:
             (trial,) = c.fitted
             model = model.with_effect(trial.name, **trial.fit.model.effects[trial.name])
             unknowns = (*unknowns, *unknowns_of(trial.name))
-        slopes = state.left.base.jacobian
-        fit = fit_balance(state.left.balance, model, unknowns, jacobian=slopes)
+        derivatives = state.left.base.jacobian
+        fit = fit_balance(state.left.balance, model, unknowns, jacobian=derivatives)
         return self._candidate(state, tuple(Trial(n, 0.0, 0.0, fit) for n in names))
 
     def adopt(self, state: DualState, candidate: Candidate) -> DualState:
@@ -227,9 +227,9 @@ class DualEvidence:
         name, base = name_of(key), state.left.base
         kept = [j for j, k in enumerate(base.unknowns) if k.effect != name]
         unknowns = tuple(base.unknowns[j] for j in kept)
-        model, slopes = base.model.without([name]), base.jacobian[:, kept]
+        model, derivatives = base.model.without([name]), base.jacobian[:, kept]
         fitted = fit_balance if state.left.balance.led else settled_fit
-        fit = fitted(state.left.balance, model, unknowns, jacobian=slopes)
+        fit = fitted(state.left.balance, model, unknowns, jacobian=derivatives)
         left = replace(state.left, base=fit)
         return DualState(left, tuple(k for k in state.keys if k != key))
 

@@ -28,7 +28,7 @@ from dmptm_ctrl.simulate.model import Floats, Model
 if TYPE_CHECKING:
     from dmptm_ctrl.diagnosis.dual_report import DualSource
 
-OBSERVER_HZ = 5.0  # above what position, load and speed change by; below the rattle
+OBSERVER_HZ = 5.0  # above what position, load and speed change by; below the impact chatter
 SLOWEST = np.deg2rad(1.0)  # rad/s; slower than this a direction is not sure
 BLOCK_SECONDS = 0.005  # orders are of means over blocks: to 100 Hz, past the 60 Hz mode
 MAX_ORDER = 12.0  # per motor turn

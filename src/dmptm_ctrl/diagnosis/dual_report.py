@@ -204,7 +204,7 @@ def detectable(candidate: Candidate) -> dict[str, dict[str, Any]]:
 
 def ranking(
     selection: Selection,
-    unseen: Sequence[str],
+    invisible: Sequence[str],
     sensors: dict[str, dict[str, float]],
     found: Sequence[str],
 ) -> list[dict[str, Any]]:
@@ -212,7 +212,7 @@ def ranking(
 
     Parameters
     ----------
-    unseen : sequence of str
+    invisible : sequence of str
         Effects that these logs cannot show, unless they are large.
     sensors : mapping
         Effect of a sensor → standard errors of its amplitudes.
@@ -220,7 +220,7 @@ def ranking(
         Effects of sensors that are in the model.
     """
     catalogue = [(n, e.location, e.reveals) for n, e in CATALOGUE.items() if n not in TABLES]
-    rows = ranking_of(selection, catalogue, sensors=found, compared=sensors, unseen=unseen)
+    rows = ranking_of(selection, catalogue, sensors=found, compared=sensors, invisible=invisible)
     tried = {**best_of(selection.first), **best_of(selection.rest)}
     for row in rows:
         name = row["name"]

@@ -30,7 +30,7 @@ _Key = TypeVar("_Key")
 EXPERIMENT_FILE = "next_experiment.csv"
 SECONDS = 20.0
 SAMPLE_TIME = 1e-3  # s
-BENT = 3.0  # standard deviations beyond which a sample says no more: rattle differs by itself
+BENT = 3.0  # standard deviations beyond which a sample says no more: chatter differs by itself
 # model errors that no parameter mends, rad/s and rad at the pinion, and how long one lasts
 SPEED_FLOOR, TWIST_FLOOR, LASTING = np.deg2rad(0.03), np.deg2rad(0.15 / 60), 0.1
 BIAS = 0.25  # share of the largest voltage, of a preload

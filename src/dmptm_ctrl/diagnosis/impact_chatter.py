@@ -1,10 +1,10 @@
-"""How strongly the pinions rattle shows the meshes' damping, of which the balances know nothing.
+"""How strongly the pinions chatter shows the meshes' damping, of which the balances know nothing.
 
 Each reversal ends in impacts that ring at 60 and 230 Hz. No run predicts their phase, and a
-fit by mean squares would choose too much damping, since silence misses less than a rattle out
+fit by mean squares would choose too much damping, since silence misses less than a chatter out
 of step. But their power follows the damping closely: whole free runs are compared with the
 logs by it. Not with logs of a closed loop: there the controller shakes the pinions by what it
-reads of their rattle, a free run with the same voltages does not rattle in step with them.
+reads of their chatter, a free run with the same voltages does not chatter in step with them.
 """
 
 from collections.abc import Sequence
@@ -38,17 +38,19 @@ QUIET = 0.05  # share of the windows in which there is nothing but the sensor's 
 FED_BACK, LAGS = 0.05, 4
 LEAST = 0.1  # scatter of the logarithm of a power from log to log; less is chance
 PRIOR = 0.6  # standard deviation of the logarithm about the declared value
-# What it takes beside: a wider gap, or one that damps less, makes the pinions rattle more.
+# What it takes beside: a wider gap, or one that damps less, makes the pinions chatter more.
 BESIDE = ("gap_l", "gap_r", GAP_DAMPING)
 STEP = 0.3  # relative, of the damping itself, for the slope of the power over it
 APART = 0.3  # half-ranges, by which such a value is changed at least, or chance is larger
 
 
-def rattled(records: Sequence[Record], start: BalanceFit, declared: Drive, jobs: int) -> BalanceFit:
-    """Return a fit with the damping that the rattle of the records speaks for.
+def with_chatter(
+    records: Sequence[Record], start: BalanceFit, declared: Drive, jobs: int
+) -> BalanceFit:
+    """Return a fit with the damping that the chatter of the records speaks for.
 
     It comes with its standard deviation, and with how it follows the gaps: who knows these better
-    later knows it better, too. The gap's damping, which not even the rattle shows, is the declared
+    later knows it better, too. The gap's damping, which not even the chatter shows, is the declared
     one. What is not among the unknowns of the fit stays as it is.
     """
     names = [k.name if k.effect is None else "" for k in start.unknowns]
@@ -60,32 +62,32 @@ def rattled(records: Sequence[Record], start: BalanceFit, declared: Drive, jobs:
         tie(covariance, j, np.zeros(len(names)), covariance[j, j])
     if DAMPING in names:
         j = names.index(DAMPING)
-        rattle = Rattle(records, declared, jobs)
-        value, error = rattle.damping(model)
+        chatter = Chatter(records, declared, jobs)
+        value, error = chatter.damping(model)
         model = model.with_values(**{DAMPING: value})
         others = [i for i, name in enumerate(names) if name in BESIDE]
         sigmas = np.sqrt(covariance[others, others])
         relative = value / start.unknowns[j].scale
-        slopes = np.zeros(len(names))
-        slopes[others] = relative * rattle.slopes(
+        derivatives = np.zeros(len(names))
+        derivatives[others] = relative * chatter.derivatives(
             model, [start.unknowns[i] for i in others], sigmas
         )
-        tie(covariance, j, slopes, (relative * error) ** 2)
+        tie(covariance, j, derivatives, (relative * error) ** 2)
     low, high = ([getattr(k, end) for k in start.unknowns] for end in ("low", "high"))
     p = np.clip(position(model, start.unknowns), low, high)
     return replace(start, model=model, p=p, covariance=covariance)
 
 
-def tie(covariance: Floats, j: int, slopes: Floats, variance: float) -> None:
-    """Let an unknown follow others by `slopes` and else vary by itself alone, in place."""
+def tie(covariance: Floats, j: int, derivatives: Floats, variance: float) -> None:
+    """Let an unknown follow others by `derivatives` and else vary by itself alone, in place."""
     covariance[j, :] = covariance[:, j] = 0.0
-    along = covariance @ slopes
+    along = covariance @ derivatives
     covariance[j, :] = covariance[:, j] = along
-    covariance[j, j] = variance + slopes @ along
+    covariance[j, j] = variance + derivatives @ along
 
 
-class Rattle:
-    """The power of the records' rattle, to be compared with that of free runs."""
+class Chatter:
+    """The power of the records' chatter, to be compared with that of free runs."""
 
     def __init__(self, records: Sequence[Record], declared: Drive, jobs: int) -> None:
         self.records = [rec for rec in records if not fed_back(rec)] or list(records)
@@ -122,7 +124,7 @@ class Rattle:
         mean = float(weight @ fine)
         return float(np.exp(mean)), float(np.sqrt(weight @ (fine - mean) ** 2))
 
-    def slopes(self, model: Model, others: Sequence[Unknown], sigmas: Floats) -> Floats:
+    def derivatives(self, model: Model, others: Sequence[Unknown], sigmas: Floats) -> Floats:
         """Relative change of the damping, per unit of others, that leaves the power as it is."""
         value = model.drive[DAMPING]
         apart = np.maximum(sigmas, APART)

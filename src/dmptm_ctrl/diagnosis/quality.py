@@ -20,7 +20,7 @@ BAND = 2.576  # standard deviations on either side that hold 99 % of a normal di
 LAG_SECONDS = 1.0
 BINS = 24
 TAILS = (0.5, 99.5)  # percentiles of the variable; what lies beyond has too few samples
-MIN_NEWS = 3.0  # independent samples that a bin's mean and spread need
+MIN_INDEPENDENT = 3.0  # independent samples that a bin's mean and spread need
 
 
 def correlations(overlays: Sequence[Overlay]) -> list[tuple[str, Correlation, Correlation]]:
@@ -135,7 +135,7 @@ def binned(rows: Sequence[Rows], edges: Floats) -> dict[str, Curve]:
         for i in range(edges.size - 1):
             inside = (place == i) & (way == sign)
             count = float(news[inside].sum())
-            if count >= MIN_NEWS:
+            if count >= MIN_INDEPENDENT:
                 centres.append(0.5 * (edges[i] + edges[i + 1]))
                 means.append(float(y[inside].mean()))
                 errors.append(float(y[inside].std()) / np.sqrt(count))

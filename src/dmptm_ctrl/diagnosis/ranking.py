@@ -19,7 +19,7 @@ def ranking_of(
     *,
     sensors: Collection[str] = (),
     compared: Collection[str] = (),
-    unseen: Collection[str] = (),
+    invisible: Collection[str] = (),
 ) -> list[dict[str, Any]]:
     """Return a row per effect: those in the model first, then by what the logs say for it.
 
@@ -31,7 +31,7 @@ def ranking_of(
         Effects of sensors that are in the model.
     compared : collection of str
         Effects that sensors would have shown.
-    unseen : collection of str
+    invisible : collection of str
         Effects that these logs show only where they are large.
     """
     entries = {name_of(e.key): e for e in selection.entries}
@@ -45,7 +45,7 @@ def ranking_of(
         if name in entries or name in sensors:
             status = "supported"
             score = entries[name].evidence if name in entries else TOP
-        elif one is not None and (name in beside or name not in unseen):
+        elif one is not None and (name in beside or name not in invisible):
             status = "rejected"
             explained = name in rivals or alone.get(name, one).acceptable
             reason = why_rejected(one, explained)

@@ -29,7 +29,7 @@ LEAD_HZ = 0.05  # slow lead of simulated runs by the measured angle: bounds drif
 ECCENTRIC = ENCODER_ECCENTRICITY.name
 SEEN = 1.0  # evidence of a scale of an unknown, below which the balances do not see it
 ROUNDS = 3  # fits without motor encoders: each says better which touch, for the next
-SETTLED = 5.0  # fall of the loss by slopes taken anew, below which they are not again
+SETTLED = 5.0  # fall of the loss by derivatives taken anew, below which they are not again
 
 
 @dataclass(eq=False)
@@ -81,12 +81,12 @@ def predicting(left: Residual) -> Residual:
 
 
 def predicting_fit(balance: Balance, base: BalanceFit) -> BalanceFit:
-    """Fit to balances and short predictions, slopes taken anew a few times: runs cost most."""
+    """Fit to balances and short predictions, derivatives taken anew a few times: runs cost most."""
     best: BalanceFit | None = None
     model, unknowns = base.model, base.unknowns
     for _ in range(ROUNDS):
-        slopes = columns(balance, model, unknowns, np.concatenate(balance.missing(model)))
-        done = fit_balance(balance, model, unknowns, jacobian=slopes)
+        derivatives = columns(balance, model, unknowns, np.concatenate(balance.missing(model)))
+        done = fit_balance(balance, model, unknowns, jacobian=derivatives)
         gain = np.inf if best is None else best.loss - done.loss
         best, model = done, done.model
         if gain < SETTLED:
@@ -102,17 +102,17 @@ def _covariance(base: BalanceFit) -> Floats:
     """
     count = sum(kind != "led" for kind in base.kinds)
     parts, kinds = base.parts[:count], base.kinds[:count]
-    slopes = base.jacobian[: sum(map(len, parts))]
-    rows = weights(parts, kinds)[:, None] * slopes
+    derivatives = base.jacobian[: sum(map(len, parts))]
+    rows = weights(parts, kinds)[:, None] * derivatives
     covariance = covariance_of(rows, base.unknowns)
-    unseen = [j for j, free in enumerate(seen(rows, base.unknowns)) if not free]
-    covariance[unseen, :] = base.covariance[unseen, :]
-    covariance[:, unseen] = base.covariance[:, unseen]
+    invisible = [j for j, free in enumerate(seen(rows, base.unknowns)) if not free]
+    covariance[invisible, :] = base.covariance[invisible, :]
+    covariance[:, invisible] = base.covariance[:, invisible]
     return covariance
 
 
 def seen(rows: Floats, unknowns: Sequence[Unknown]) -> list[bool]:
-    """Whether weighted slopes of balances, (m, k), show each unknown; of the drive all count."""
+    """Whether weighted derivatives (m, k) show each unknown; of the drive all count."""
     seen_rows = np.square(rows).sum(axis=0)
     return [k.effect is None or x > SEEN for k, x in zip(unknowns, seen_rows, strict=True)]
 
@@ -124,8 +124,8 @@ def of_windows(left: Residual) -> Residual:
     balance, held = (replace(one, led=False) for one in (left.balance, left.held))
     model, unknowns = left.base.model, left.base.unknowns
     parts = balance.missing(model)
-    slopes = columns(balance, model, unknowns, np.concatenate(parts))
-    shown = seen(weights(parts, balance.kinds)[:, None] * slopes, unknowns)
+    derivatives = columns(balance, model, unknowns, np.concatenate(parts))
+    shown = seen(weights(parts, balance.kinds)[:, None] * derivatives, unknowns)
     free = tuple(k for k, one in zip(unknowns, shown, strict=True) if one)
     return replace(left, balance=balance, held=held, base=fit_balance(balance, model, free))
 

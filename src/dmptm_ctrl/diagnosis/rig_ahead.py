@@ -31,8 +31,8 @@ from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import RigModel, link_inertias
 from dmptm_ctrl.simulate.rig_run import substeps_for
 
-MOST_STEPS = 5e7  # of the simulator for all slopes once, some seconds; more is not begun
-ROUNDS = 12  # Gauss–Newton steps at most; slopes of runs are taken anew where these gain no more
+MOST_STEPS = 5e7  # of the simulator for all derivatives once, some seconds; more is not begun
+ROUNDS = 12  # Gauss–Newton steps at most; derivatives are taken anew where these gain no more
 STEPS = 1e-4, 0.1  # difference steps are standard errors, but no less and no more scales
 # Damping ratios of a link that are tried. Noise of its twist hides the damping from the balance;
 # in runs it rings by it, and small steps from one that bounces lead nowhere.
@@ -79,11 +79,11 @@ class Predicted:
 class Ahead:
     """Short predictions of the logs that a model is fitted to.
 
-    `slopes` are those of the model before, per number; those of the next are nearly the same.
+    `derivatives` are those of the model before, per number; those of the next are nearly the same.
     """
 
     runs: Runs
-    slopes: dict[str, Floats] = field(default_factory=dict, init=False)
+    derivatives: dict[str, Floats] = field(default_factory=dict, init=False)
 
     @classmethod
     def of(
@@ -128,12 +128,17 @@ class Ahead:
         best = min(ends, key=lambda end: end.loss(fit, rows))
         if best.state is fit.state:
             return state
-        slopes = jacobian(
+        derivatives = jacobian(
             best.state, fit.likelihood.balance, fit.frees, best.left, jobs=self.runs.jobs
         )
         loss = total_loss(best.state, fit.frees, best.left, fit.likelihood)
         done = replace(
-            fit, state=best.state, left=best.left, drive=best.drive, slopes=slopes, loss=loss
+            fit,
+            state=best.state,
+            left=best.left,
+            drive=best.drive,
+            derivatives=derivatives,
+            loss=loss,
         )
         return replace(state, fit=done)
 
@@ -161,8 +166,8 @@ class Ahead:
         steps = np.clip(np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), *STEPS)
         if not fit.frees:
             return here
-        fresh = any(f.label not in self.slopes for f in fit.frees)
-        slopes = self._slopes(here, fit.frees, steps) if fresh else self._known(fit.frees)
+        fresh = any(f.label not in self.derivatives for f in fit.frees)
+        derivatives = self._derivatives(here, fit.frees, steps) if fresh else self._known(fit.frees)
         for _ in range(ROUNDS):
             rows = Predicted.of(here.missing)
             seen: dict[State, Floats] = {}
@@ -175,28 +180,28 @@ class Ahead:
                 return rows.surprise(missing)
 
             weights = rows.weights
-            beside = Beside(weights[:, None] * slopes, weights * here.missing, surprise)
+            beside = Beside(weights[:, None] * derivatives, weights * here.missing, surprise)
             loss, like = here.loss(fit, rows), fit.likelihood
-            better = stepped(here.state, fit.frees, here.left, fit.slopes, like, loss, beside)
+            better = stepped(here.state, fit.frees, here.left, fit.derivatives, like, loss, beside)
             gain = 0.0 if better is None else loss - better[3]
             if gain < TOLERANCE and fresh:
                 break
             if better is not None:
                 before, here = here, _End(*better[:3], seen[better[0]])
                 moved = [(here.state.get(f) - before.state.get(f)) / f.scale for f in fit.frees]
-                slopes = secant(slopes, here.missing - before.missing, np.array(moved))
+                derivatives = secant(derivatives, here.missing - before.missing, np.array(moved))
                 fresh = False
             if gain < TOLERANCE:
-                slopes, fresh = self._slopes(here, fit.frees, steps), True
-        columns = zip(fit.frees, slopes.T, strict=True)
-        self.slopes.update({f.label: column / f.scale for f, column in columns})
+                derivatives, fresh = self._derivatives(here, fit.frees, steps), True
+        columns = zip(fit.frees, derivatives.T, strict=True)
+        self.derivatives.update({f.label: column / f.scale for f, column in columns})
         return here
 
     def _known(self, frees: Sequence[Free]) -> Floats:
         """Derivatives as another model of the same logs has them."""
-        return np.column_stack([self.slopes[f.label] * f.scale for f in frees])
+        return np.column_stack([self.derivatives[f.label] * f.scale for f in frees])
 
-    def _slopes(self, here: "_End", frees: Sequence[Free], steps: Floats) -> Floats:
+    def _derivatives(self, here: "_End", frees: Sequence[Free], steps: Floats) -> Floats:
         """Derivatives of what is not predicted, per scale of each number, (m, numbers)."""
         table = np.zeros((here.missing.size, len(frees)))
         for j, (free, step) in enumerate(zip(frees, steps, strict=True)):

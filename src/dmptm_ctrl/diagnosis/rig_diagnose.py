@@ -40,7 +40,7 @@ from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.measured_motion import FEWEST_ROWS, STRETCHES
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
 from dmptm_ctrl.identify.pushing_teeth import centred, pushing
-from dmptm_ctrl.identify.rig_fit import fit_rig, unseen_impacts
+from dmptm_ctrl.identify.rig_fit import fit_rig, invisible_impacts
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.parallel import small_matrices
@@ -201,7 +201,7 @@ def _fitted(
 def _started_anew(evidence: RigEvidence, base: RigState, link: str) -> RigState:
     """Fit again from the best start of a declared gap before bodies that nothing measures."""
     model, surprise = base.fit.model, base.tangent.surprise
-    if link not in model.layout.links or not unseen_impacts(model, base.logs):
+    if link not in model.layout.links or not invisible_impacts(model, base.logs):
         return base
     starts = gap_starts(model, base.logs, link, surprise, jobs=evidence.jobs)
     again = (State(at_start(model, one), base.fit.state.logs) for one in starts[:1])

@@ -40,10 +40,10 @@ from dmptm_ctrl.identify.measured_motion import Nuisance
 from dmptm_ctrl.identify.rig_fit import (
     RigFit,
     fit_rig,
+    invisible_impacts,
     residuals,
     stepped,
     total_loss,
-    unseen_impacts,
 )
 from dmptm_ctrl.identify.rig_start import from_elsewhere
 from dmptm_ctrl.identify.state import State
@@ -151,7 +151,7 @@ class RigEvidence:
         return list(best.values())
 
     def _first_order(self, state: RigState, trial: Trial) -> Candidate:
-        """Judge a candidate after one step of the model's parameters, by their known slopes."""
+        """Judge a candidate after one step of the model's parameters, by known derivatives."""
         there, fit = trial.placed_in(state.fit.state), state.fit
         gain, most = trial.gain, evidence_per_gain(self.ratio(state))
         if most * gain < LEVEL and trial.columns:
@@ -163,7 +163,7 @@ class RigEvidence:
         except (ValueError, ArithmeticError):
             return Candidate((trial.key,), -np.inf, 0.0, ((trial,), fit), "cannot be simulated")
         loss = total_loss(there, fit.frees, left, fit.likelihood)
-        found = stepped(there, fit.frees, left, fit.slopes, fit.likelihood, loss)
+        found = stepped(there, fit.frees, left, fit.derivatives, fit.likelihood, loss)
         there, left, drive, loss = found or (there, left, drive, loss)
         rough = replace(fit, state=there, left=left, drive=drive, loss=loss)
         return self._candidate(state, (trial,), rough, look=False)
@@ -194,7 +194,7 @@ class RigEvidence:
     def _around(self, there: State, state: RigState, group: Sequence[Trial]) -> State:
         """Fit the rest around gaps that are measured: else the first step leaves their starts."""
         gaps = [t for t in group if name_of(t.key) == BACKLASH.name]
-        if not gaps or unseen_impacts(there.model, state.logs):
+        if not gaps or invisible_impacts(there.model, state.logs):
             return there
         kept = {key for t in gaps for key in (*members(t.key), *t.values)}
         frees = free_parameters(there.model, state.logs, scales_of(state.logs))
@@ -203,7 +203,7 @@ class RigEvidence:
         return fit_rig(there, state.logs, frees=rest, iterations=FIRST, like=like, jobs=1).state
 
     def _alike(self, state: State, fit: RigFit) -> RigFit | None:
-        """Return a fit if its slopes are nearly those of a state.
+        """Return a fit if its derivatives are nearly those of a state.
 
         Not where a gap is simulated, nor where a spring came or went.
         """
@@ -283,7 +283,7 @@ class RigEvidence:
     def rows(self, state: RigState, candidates: Sequence[Candidate]) -> Rows:
         tangent = state.tangent
         columns = {c.keys: tangent.stack(c.fitted[0][0].columns) for c in candidates}
-        return Rows(tangent.whole, tangent.slopes, *tangent.room, columns)
+        return Rows(tangent.whole, tangent.derivatives, *tangent.room, columns)
 
     def together(self, state: RigState, candidates: Sequence[Candidate]) -> Candidate:
         return self._fitted(state, [c.fitted[0][0] for c in candidates], 2 * FIRST)

@@ -144,7 +144,7 @@ def independent(state: RigState) -> Floats:
     what is missing correlates too, and would hide itself.
     """
     tangent, likelihood = state.tangent, state.fit.likelihood
-    table = [tangent.slopes, *(tangent.stack(t.columns) for t in state.seen or state.trials)]
+    table = [tangent.derivatives, *(tangent.stack(t.columns) for t in state.seen or state.trials)]
     for signal in variables_of(state.fit).values():
         for _, torque in torques_of(state.fit, signal):
             own = columns_of(state.fit.left[0].shape[0], likelihood.balance, torque)

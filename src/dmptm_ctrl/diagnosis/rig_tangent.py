@@ -107,9 +107,9 @@ class Tangent:
         return self.weights.reshape(-1, *[1] * (rows.ndim - 1)) * np.concatenate([rows, still])
 
     @cached_property
-    def slopes(self) -> Floats:
+    def derivatives(self) -> Floats:
         """Weighted derivatives by the fitted numbers, (m, p)."""
-        table = self.stack(self.fit.slopes)
+        table = self.stack(self.fit.derivatives)
         if table.shape[1]:
             table[len(table) - len(self._priors[1]) :] = self._priors[0]
         return table
@@ -117,13 +117,13 @@ class Tangent:
     @cached_property
     def basis(self) -> Floats:
         """Orthonormal basis of what the fitted numbers change, (m, p)."""
-        norm = np.linalg.norm(self.slopes, axis=0)
-        push, (low, high) = -self.slopes.T @ self.whole, self.room
+        norm = np.linalg.norm(self.derivatives, axis=0)
+        push, (low, high) = -self.derivatives.T @ self.whole, self.room
         keep = norm > 1e-12 * norm.max(initial=0.0)
         keep &= ~(((low >= 0.0) & (push < 0.0)) | ((high <= 0.0) & (push > 0.0)))
         if not keep.any():
-            return self.slopes[:, :0]
-        u, s, _ = np.linalg.svd(self.slopes[:, keep] / norm[keep], full_matrices=False)
+            return self.derivatives[:, :0]
+        u, s, _ = np.linalg.svd(self.derivatives[:, keep] / norm[keep], full_matrices=False)
         return u[:, s > 1e-7 * s.max()]
 
     @cached_property
@@ -154,9 +154,9 @@ class Tangent:
 
     def shift(self, change: Floats) -> Floats:
         """Change of the fitted numbers that does most against a weighted change, (p,)."""
-        norm = np.linalg.norm(self.slopes, axis=0)
+        norm = np.linalg.norm(self.derivatives, axis=0)
         norm[norm <= 1e-12 * norm.max(initial=0.0)] = np.inf
-        return -np.linalg.lstsq(self.slopes / norm, change, rcond=1e-7)[0] / norm
+        return -np.linalg.lstsq(self.derivatives / norm, change, rcond=1e-7)[0] / norm
 
     @cached_property
     def room(self) -> tuple[Floats, Floats]:
@@ -166,7 +166,7 @@ class Tangent:
     def bounded_gain(self, parts: Sequence[Floats]) -> float:
         """Fall of −2 log-likelihood to first order, the fitted numbers in their ranges."""
         columns: dict[Keys, Floats] = {(): self.stack(parts)}
-        return JointGain(Rows(self.whole, self.slopes, *self.room, columns)).bounded(((),))
+        return JointGain(Rows(self.whole, self.derivatives, *self.room, columns)).bounded(((),))
 
     def score(self, parts: Sequence[Floats]) -> tuple[float, Floats]:
         """Return the fall of −2 log-likelihood to first order, and the amplitudes."""

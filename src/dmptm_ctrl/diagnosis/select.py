@@ -218,12 +218,12 @@ class JointGain:
 
     def __init__(self, rows: Rows) -> None:
         names = list(rows.columns)
-        table = np.column_stack([rows.slopes, *rows.columns.values(), rows.left])
+        table = np.column_stack([rows.derivatives, *rows.columns.values(), rows.left])
         size = np.linalg.norm(table, axis=0)
         size[size == 0.0] = 1.0
         size[-1] = 1.0
         self._r = np.asarray(np.linalg.qr(table / size, mode="r"), np.float64)
-        self._own = own = rows.slopes.shape[1]
+        self._own = own = rows.derivatives.shape[1]
         ends = own + np.cumsum([0, *(rows.columns[n].shape[1] for n in names)])
         self._places = {n: np.arange(ends[i], ends[i + 1]) for i, n in enumerate(names)}
         self._low, high = rows.low * size[:own], rows.high * size[:own]

@@ -78,8 +78,8 @@ class Trace:
         self.prior = np.diag(
             [1.0 / k.prior if np.isfinite(k.prior) else 1e-3 for k in self.base.unknowns]
         )
-        self.slopes = np.vstack([w[:, None] * self.base.jacobian, self.prior])
-        self.basis, _ = np.linalg.qr(self.slopes)
+        self.derivatives = np.vstack([w[:, None] * self.base.jacobian, self.prior])
+        self.basis, _ = np.linalg.qr(self.derivatives)
         self.rows = self.prior.shape[0]
         self.target = self.project(-w * self.base.missing)
         self.whole = np.concatenate([w * self.base.missing, self.prior @ self.base.p])
@@ -129,7 +129,7 @@ class Trace:
     def bounded_gain(self, columns: Floats) -> float:
         """Fall of the weighted square by columns (m, k), the drive's parameters in their ranges."""
         tall = np.pad(columns, [(0, self.rows), (0, 0)])
-        return JointGain(Rows(self.whole, self.slopes, *self.room, {(): tall})).bounded(((),))
+        return JointGain(Rows(self.whole, self.derivatives, *self.room, {(): tall})).bounded(((),))
 
 
 def effect_columns(trace: Trace, effect: Effect, shapes: Mapping[str, float]) -> Floats:

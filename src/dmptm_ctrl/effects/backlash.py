@@ -64,7 +64,7 @@ def region_torque(z, z_rate, region, p):
 
 
 @njit
-def landing(z, z_rate, p):
+def impact_step(z, z_rate, p):
     """How long ago a closing flank was reached [s] at constant rate, and the step of torque.
 
     From A0 to A⁺ or A⁻ the torque of Eq. 21 jumps by c ż (gap transient died out); the step

@@ -20,7 +20,7 @@ def dead_band_voltage(u, t, side, p):
 
 DRIVE_DEAD_BAND = Effect(
     name="drive_dead_band",
-    site="drive",
+    site="amplifier",
     kernel=dead_band_voltage,
     parameters=(Parameter("width", "V", 0.0, 0.5, 0.01),),  # b
     location="drives",

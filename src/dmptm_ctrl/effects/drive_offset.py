@@ -16,7 +16,7 @@ def offset_voltage(u, t, side, p):
 
 DRIVE_OFFSET = Effect(
     name="drive_offset",
-    site="drive",
+    site="amplifier",
     kernel=offset_voltage,
     parameters=(Parameter("left", "V", -0.3, 0.3, 0.01), Parameter("right", "V", -0.3, 0.3, 0.01)),
     location="drives",

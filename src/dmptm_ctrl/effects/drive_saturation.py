@@ -19,7 +19,7 @@ def saturated_voltage(u, t, side, p):
 
 DRIVE_SATURATION = Effect(
     name="drive_saturation",
-    site="drive",
+    site="amplifier",
     kernel=saturated_voltage,
     parameters=(Parameter("inverse_limit", "1/V", 0.0, 20.0, 0.05),),  # 1/U
     location="drives",

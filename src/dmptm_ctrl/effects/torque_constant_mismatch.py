@@ -20,7 +20,7 @@ def mismatched_voltage(u, t, side, p):
 
 TORQUE_CONSTANT_MISMATCH = Effect(
     name="torque_constant_mismatch",
-    site="drive",
+    site="amplifier",
     kernel=mismatched_voltage,
     parameters=(
         Parameter("error", "", -0.5, 0.5, 0.02),  # relative, δ

@@ -23,7 +23,7 @@ def aged_friction(age, body, p):
 
 UNKNOWN_BREAKAWAY = Effect(
     name="unknown_breakaway",
-    site="ageing",
+    site="dwell",
     kernel=aged_friction,
     parameters=(
         Parameter("rise", "N·m", 0.0, 60.0, 2.0),

@@ -17,7 +17,7 @@ def table_voltage(u, t, side, p):
 
 UNKNOWN_VOLTAGE = Effect(
     name="unknown_voltage",
-    site="drive",
+    site="amplifier",
     kernel=table_voltage,
     parameters=table_parameters("V", 2.0, 0.05, (VOLTAGE, TIME), (0.0, 0.1)),
     location="both drives",

@@ -4,7 +4,7 @@ Summed over all bodies the mesh torques cancel, so that the balance at the ring 
 
     J_L α_L + N2 J̄3 (α_3l + α_3r) = N2 (N1 K (u_l + u_r) − F_3l − F_3r) − F_L + effects
 
-holds through gaps and rattle, of which no simulation predicts the course; per chain the
+holds through gaps and impact chatter, of which no simulation predicts the course; per chain the
 mesh torque follows from the measured twist while the pinion rests on a flank. Nothing is
 integrated: no drift, no chaos, and nearly linear in everything unknown. What acts faster than a
 window is long is measured by the gyro's fast part (`ripple`).
@@ -43,7 +43,7 @@ STALLED = 0.5  # fall of the loss that ends the iterations
 # on its flank lasts for several. Not read off the misfit, which a missing effect correlates.
 # Samples of the fast part are white. How much blocks of short predictions count is measured by
 # benchmarks/short_weight.py.
-NEWS = {"total": 0.6, "chain": 0.25, "ripple": 1.0, "led": 0.1}
+INDEPENDENT = {"total": 0.6, "chain": 0.25, "ripple": 1.0, "led": 0.1}
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +223,8 @@ def weights(parts: Sequence[Floats], kinds: Sequence[str], freedom: float = FREE
     """Square roots of what each window counts: its equation's scale, bent, and news."""
     return np.concatenate(
         [
-            np.sqrt(NEWS[role_of(kind)] * (freedom + 1.0) / (freedom + (part / sigma) ** 2)) / sigma
+            np.sqrt(INDEPENDENT[role_of(kind)] * (freedom + 1.0) / (freedom + (part / sigma) ** 2))
+            / sigma
             for part, kind, sigma in zip(parts, kinds, scatter(parts, kinds, freedom), strict=True)
         ]
     )
@@ -239,7 +240,8 @@ def row_surprises(
 ) -> list[Floats]:
     """The same of each row of each equation."""
     return [
-        NEWS[role_of(kind)] * (2.0 * np.log(s) + (freedom + 1.0) * np.log1p((x / s) ** 2 / freedom))
+        INDEPENDENT[role_of(kind)]
+        * (2.0 * np.log(s) + (freedom + 1.0) * np.log1p((x / s) ** 2 / freedom))
         for x, kind, s in zip(parts, kinds, scatter(parts, kinds, freedom), strict=True)
     ]
 
@@ -253,13 +255,13 @@ def correlation_lengths(parts: Sequence[Floats], kinds: Sequence[str]) -> Floats
     """Windows of each equation that count as one, as what is left of them correlates.
 
     A law that is only nearly right is wrong alike in neighbouring windows; counted as
-    independent, they would speak for any effect. Overlap is in :data:`NEWS` already.
+    independent, they would speak for any effect. Overlap is in :data:`INDEPENDENT` already.
     """
     lengths = []
     for part, kind, sigma in zip(parts, kinds, scatter(parts, kinds), strict=True):
         x = part / sigma
         x = x / np.sqrt(1.0 + x * x / FREEDOM)
-        lengths.append(max(1.0, NEWS[role_of(kind)] * correlation_length(x - x.mean())))
+        lengths.append(max(1.0, INDEPENDENT[role_of(kind)] * correlation_length(x - x.mean())))
     return np.array(lengths)
 
 
@@ -335,10 +337,10 @@ def fit_balance(
     kept = np.empty((sum(map(len, parts)), 0)) if jacobian is None else jacobian
     own = unknowns[kept.shape[1] :]
 
-    def slopes() -> Floats:
+    def derivatives() -> Floats:
         return np.hstack([kept, columns(balance, model, own, np.concatenate(parts))])
 
-    jac, fresh = slopes(), True
+    jac, fresh = derivatives(), True
     for _ in range(ITERATIONS):
         e, p0 = np.concatenate(parts), p
         w = weights(parts, kinds, freedom)
@@ -359,7 +361,7 @@ def fit_balance(
         if not own:
             continue
         if stalled or balance.led:  # runs bend too much for secants: they meet impacts
-            jac, fresh = slopes(), True
+            jac, fresh = derivatives(), True
         else:
             jac, fresh = secant(jac, np.concatenate(parts) - e, p - p0), False
     covariance = covariance_of(weights(parts, kinds)[:, None] * jac, unknowns)
@@ -367,7 +369,7 @@ def fit_balance(
 
 
 def covariance_of(rows: Floats, unknowns: Sequence[Unknown]) -> Floats:
-    """Covariance of unknowns by weighted slopes (m, k) and what is declared of them, (k, k)."""
+    """Covariance of unknowns by weighted derivatives (m, k) and their declarations, (k, k)."""
     prior = np.array([1.0 / k.prior**2 + 1e-9 for k in unknowns])
     return np.asarray(np.linalg.inv(rows.T @ rows + np.diag(prior)), np.float64)
 
@@ -378,7 +380,7 @@ def settled_fit(
     """Fit to the end, from here and from where outliers count in full; return the better.
 
     A robust loss has several minima: windows that one effect cannot follow pass for outliers.
-    Both ways share slopes `jacobian` (m, k), which change little; the end is fitted with its
+    Both ways share derivatives `jacobian` (m, k), which change little; the end is fitted with its
     own.
     """
     here = fit_balance(balance, model, unknowns, jacobian=jacobian)

@@ -23,7 +23,7 @@ from dmptm_ctrl.simulate.compiled import SUBSTEPS
 from dmptm_ctrl.simulate.model import Floats, Model
 
 LEAD_HZ = 0.05  # of the lead by the angle; faster ones hide what friction does after a reversal
-# rad at the ring gear; the misfit of logs that rattle has a notch some 8 µrad wide at the true one
+# rad at the ring gear; the misfit of logs with impacts has a notch some 8 µrad wide at the true one
 DISTANCES = np.arange(0.0, 65e-6, 4e-6)
 SHARES = (0.0, 0.125, 0.25, 0.5, 1.0, 2.0)  # tried of each distance that a diagnosis gives
 

@@ -10,7 +10,7 @@ from scipy.signal import butter, sosfiltfilt
 from dmptm_ctrl.simulate.model import Floats
 
 NORMAL_MEDIAN = 0.6745  # median of |x| over the standard deviation, x normal
-BANDWIDTH_HZ = 30.0  # above it, rattle that no model predicts sample by sample
+BANDWIDTH_HZ = 30.0  # above it, impact chatter that no model predicts sample by sample
 ORDER = 4  # of the filter that leaves it out
 # of the bandwidth; a signal goes on so far beyond its ends, or the filter rings there
 PERIODS = 3.0

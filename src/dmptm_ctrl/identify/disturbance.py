@@ -143,7 +143,7 @@ def driven(way: Course, effects: Places, plant: Plant, side: int) -> Floats | No
     u = volts = way.u[side]
     if dead > 0.0:
         volts = np.concatenate([delayed_along(u[p], dead / way.dt, 0.0) for p in way.parts])
-    volts = signal_along(effects.get(("drive", side), ()), volts, way.time)
+    volts = signal_along(effects.get(("amplifier", side), ()), volts, way.time)
     if lags := effects.get(("lag", side)):
         aim, tau = lag_along(lags, volts)
         volts = np.concatenate([lagged_along(aim[p], tau[p], way.dt, 0.0) for p in way.parts])

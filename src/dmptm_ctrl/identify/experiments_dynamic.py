@@ -46,7 +46,7 @@ class _Lines:
 def shaken_turns(
     drive: Drive, logs: Iterable[Log], *, period: float, lines: Sequence[float]
 ) -> dict[str, Estimate]:
-    """Fit J_2, J_L, k_m, c and the slopes of friction to turns shaken by multisines.
+    """Fit J_2, J_L, k_m, c and the derivatives of friction to turns shaken by multisines.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def shaken_turns(
     Returns
     -------
     dict of str to Estimate
-        J_2, J_L, k_m, c, and B3, BL: the slopes of friction at the turning speed.
+        J_2, J_L, k_m, c, and B3, BL: the derivatives of friction at the turning speed.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 A model is fitted on some logs and judged on others: the voltages of an open-loop log drive
 it freely; a closed-loop log is simulated with its setpoint and the rig's PI loop. Speeds are
-compared below 30 Hz, since after a reversal the pinions rattle at 230 Hz in a way that no
+compared below 30 Hz, since after a reversal the pinions chatter at 230 Hz in a way that no
 model predicts sample by sample.
 """
 
@@ -21,7 +21,7 @@ from dmptm_ctrl.simulate.compiled import Loop, close_loop, march, rest
 from dmptm_ctrl.simulate.model import Floats, Model
 
 BLOCK = 10  # samples of 1 ms; the fit sees means over 10 ms
-STEP = 0.05  # of half a declared range: beyond the roughness that rattle gives
+STEP = 0.05  # of half a declared range: beyond the roughness that impact chatter gives
 STEP_OF_VALUE = 0.1  # at most, where the range is wide
 PRIOR = 0.6  # standard deviation of a uniform range, as a share of its half-width
 SPEED_ERROR = np.deg2rad(0.3)  # rad/s of a block: what even the true rig differs by
@@ -159,7 +159,7 @@ def fit_to_logs(drive: Drive, logs: Sequence[Log], loop: Loop, *, starts: int = 
 def _gauss_newton(
     residuals: Callable[[Floats], Floats], p: Floats, steps: Callable[[Floats], Floats]
 ) -> tuple[float, Floats]:
-    """Bounded Gauss–Newton with difference steps that rattle does not blur: cost and place."""
+    """Bounded Gauss–Newton with difference steps above impact chatter: cost and place."""
 
     def residual(p: Floats) -> Floats:
         return residuals(p[None])[0]

@@ -149,9 +149,11 @@ def least_in_box(normal: Floats, slope: Floats, low: Floats, high: Floats) -> Fl
     return np.asarray(lsq_linear((vectors * root).T, target, bounds, method="bvls").x)
 
 
-def secant(slopes: Floats, change: Floats, step: Floats) -> Floats:
-    """Return slopes (…, k) that say what a step (k,) changed (…,), and differ least.
+def secant(derivatives: Floats, change: Floats, step: Floats) -> Floats:
+    """Return derivatives (…, k) that say what a step (k,) changed (…,), and differ least.
 
     Source: Broyden, Math. Comp. 19 (1965) 577.
     """
-    return np.asarray(slopes + ((change - slopes @ step) / (step @ step))[..., None] * step)
+    return np.asarray(
+        derivatives + ((change - derivatives @ step) / (step @ step))[..., None] * step
+    )

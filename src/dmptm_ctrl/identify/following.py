@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from dmptm_ctrl.identify.inverse_dynamics import Balance
 
 FOLLOWS = 0.2  # of the frequency at which hidden bodies ring; to its square they follow
-LANDED = 0.02  # s after an impact; teeth rattle, and its moment is not measured
+IMPACT = 0.02  # s after an impact; teeth chatter, and its moment is not measured
 LEAD_HZ = 0.05  # slow lead of the runs by what is measured: bounds drift only
 
 
@@ -87,7 +87,7 @@ def _open(closed: frozenset[str], model: RigModel, log: Log) -> NDArray[np.bool_
 def lately_changed(side: Floats, dt: float) -> NDArray[np.bool_]:
     """Samples at which teeth lie on another flank than a moment before, or have just come."""
     changed = np.zeros(side.size, bool)
-    for late in range(1, round(LANDED / dt) + 1):
+    for late in range(1, round(IMPACT / dt) + 1):
         changed[late:] |= side[late:] != side[:-late]
     return changed
 

@@ -408,7 +408,9 @@ def effective_input(model: RigModel, motion: Motion, name: str) -> Floats:
     The logged signal is held from each sample to the next. It is delayed and lagged, not the
     motion taken back in time: that would amplify the noise of readings.
     """
-    own = [e for e in model.effects if e.on == name and PLACED_CATALOGUE[e.name].site == "drive"]
+    own = [
+        e for e in model.effects if e.on == name and PLACED_CATALOGUE[e.name].site == "amplifier"
+    ]
     _, dead, tau, limit = model.plant().input_values[model.layout.inputs.index(name)].tolist()
 
     def act() -> Floats:

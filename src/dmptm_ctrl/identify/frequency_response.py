@@ -37,7 +37,7 @@ class FrequencyResponse(NamedTuple):
         From one input to one output, SI.
     coherence : (n,) array
         Share of the output's power at each frequency that the linear response explains, in
-        [0, 1]; harmonics, noise and rattle lower it.
+        [0, 1]; harmonics, noise and impact chatter lower it.
     """
 
     response: ct.FrequencyResponseData

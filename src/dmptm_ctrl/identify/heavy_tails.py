@@ -1,4 +1,4 @@
-"""Scale of a residual with bursts: impacts and rattle that no model predicts one by one."""
+"""Scale of a residual with bursts: impacts and chatter that no model predicts one by one."""
 
 from functools import lru_cache
 from math import sqrt
@@ -8,7 +8,7 @@ import numpy as np
 from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import Floats
 
-FREEDOM = 4.0  # of Student's t: how a row may scatter, bursts and rattle included
+FREEDOM = 4.0  # of Student's t: how a row may scatter, bursts and impact chatter included
 SCALE_STEPS = 12
 RECENT = 256  # scales kept: of all equations of a few fits at a time
 

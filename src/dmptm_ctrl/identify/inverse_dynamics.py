@@ -150,7 +150,7 @@ class Balance:
     def bursts(self) -> tuple[bool, ...]:
         """Whether what is left of each equation comes in bursts: impacts that nothing measures.
 
-        So does the twist of teeth that rattle; the balance of all measured bodies holds through it.
+        So does the twist of teeth that chatter; the balance of all measured bodies holds.
         """
         heavy = {*self.teeth.values()}
         return tuple(bool(self.closed) or k in heavy for k in range(len(self.points)))
@@ -160,7 +160,7 @@ class Balance:
         return bool({*model.layout.links} - {*self.teeth})
 
     def bends(self, model: RigModel) -> bool:
-        """Whether such a link has a gap: slopes then change from one state to the next."""
+        """Whether such a link has a gap: derivatives then change from one state to the next."""
         gaps = zip(model.layout.links, model.plant().link_gap, strict=True)
         return any(gap > 0 and name not in self.teeth for name, gap in gaps)
 

@@ -18,7 +18,7 @@ from dmptm_ctrl.simulate.model import Model
 SPAN = 1.8  # the response is measured from hz / SPAN to hz SPAN
 POINTS = 13
 NEAR = 1.15  # and again within this factor of the largest, for the parabola
-CLOSE = 0.03  # relative; rattle makes the peak that rough
+CLOSE = 0.03  # relative; impact chatter makes the peak that rough
 LIMIT = 10.0  # V, clip of the rig's voltage
 
 

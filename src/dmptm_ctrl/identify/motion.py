@@ -26,7 +26,7 @@ SETTLED = 5.0  # distances of pre-sliding after a reversal, from which friction 
 CREEP = np.deg2rad(0.3)  # rad/s of the ring gear; slower, friction is not a function of speed
 QUIET = np.deg2rad(0.4 / 60)  # rad, standard deviation of z in a window: rattling pinions exceed it
 NEAR = 0.4  # of the half-gap; closer to the middle nothing touches
-LANDED_SECONDS = 0.02  # after a simulated landing, when no encoder measures the real one
+IMPACT_SECONDS = 0.02  # after a simulated impact, when no encoder measures the real one
 GYRO_NOISE = np.deg2rad(0.05)  # rad/s per sample
 
 
@@ -229,7 +229,7 @@ def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion
         if rec.twist is not None:
             away, wait = NEAR * gaps[s], 0
         else:
-            away, wait = gaps[s], round(LANDED_SECONDS / dt)
+            away, wait = gaps[s], round(IMPACT_SECONDS / dt)
         side = np.where(z[:, s] > away, 1, np.where(z[:, s] < -away, -1, 0))
         seen = view(np.pad(side, (wait, 0)), m + wait)[starts]
         touches[:, s] = (seen[:, 0] != 0) & (seen == seen[:, :1]).all(1)
@@ -254,7 +254,7 @@ def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion
 def shifts(rec: Record, run: Floats, model: Model) -> Floats:
     """What the model's errors of teeth and gears shift z by, (n, 2) [rad].
 
-    Where they are as large as the gap, z alone shows neither the flank nor what is rattle.
+    Where they are as large as the gap, z alone shows neither the flank nor what chatters.
     """
     shift = np.zeros((run.shape[0], 2))
     if rec.twist is not None:

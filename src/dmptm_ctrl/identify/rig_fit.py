@@ -24,7 +24,7 @@ from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel
 
-ROWS_PER_NEWS = 8.0  # rows that count as one, where nothing better is known
+ROWS_PER_INDEPENDENT = 8.0  # rows that count as one, where nothing better is known
 MOST_NOISE = 0.95  # of the curvature in any direction is taken for noise in one step
 SINGULAR = 1e-12  # of its curvature; numbers that share one effect have none apart
 DIFFERENCE = 1e-4  # step of the finite differences, in scales
@@ -41,7 +41,7 @@ class RigFit:
         Residual per log.
     drive : tuple of (rows,) arrays
         Driving torque per log.
-    slopes : tuple of (equations, rows, free numbers) arrays
+    derivatives : tuple of (equations, rows, free numbers) arrays
         Derivatives of the residual per log, per scale of each number.
     loss : float
         −2 log-likelihood, and the declared ranges.
@@ -51,7 +51,7 @@ class RigFit:
     frees: tuple[Free, ...]
     left: tuple[Floats, ...]
     drive: tuple[Floats, ...]
-    slopes: tuple[Floats, ...]
+    derivatives: tuple[Floats, ...]
     likelihood: Likelihood
     loss: float
 
@@ -71,7 +71,7 @@ class RigFit:
             return np.zeros((0, 0)), np.zeros((0, 0))
         likelihood = self.likelihood
         weights = likelihood.weights(self.left)
-        rows = likelihood.stack(self.slopes) * weights[:, None]
+        rows = likelihood.stack(self.derivatives) * weights[:, None]
         extra = prior_rows(self.state, self.frees, likelihood)[0]
         whole = rows.T @ rows + extra.T @ extra + 1e-300 * np.eye(len(self.frees))
         clear, _ = noise_taken_out(
@@ -124,12 +124,12 @@ class Beside(NamedTuple):
 
     Attributes
     ----------
-    slopes, left : (m, numbers) and (m,) arrays
+    derivatives, left : (m, numbers) and (m,) arrays
     surprise : callable
         −2 log-likelihood of a state; infinite where it has none.
     """
 
-    slopes: Floats
+    derivatives: Floats
     left: Floats
     surprise: Callable[[State], float]
 
@@ -161,7 +161,7 @@ def jacobian(
     With `fine` those nearby, even where impacts that nothing shows decide a run.
     """
     columns = [np.zeros((*part.shape, len(frees))) for part in left]
-    rough = not fine and unseen_impacts(state.model, balance)
+    rough = not fine and invisible_impacts(state.model, balance)
 
     def column(j: int) -> None:
         free = frees[j]
@@ -188,7 +188,7 @@ def _step(free: Free, rough: bool) -> float:
     return (PAST_IMPACTS if rough else _kink(free) or DIFFERENCE) * free.scale
 
 
-def unseen_impacts(model: RigModel, balance: Balance) -> bool:
+def invisible_impacts(model: RigModel, balance: Balance) -> bool:
     """Whether bodies that nothing measures move behind a gap.
 
     When teeth meet depends on all that came before. Slopes nearby are then chance.
@@ -212,8 +212,8 @@ def fit_rig(
 ) -> RigFit:
     """Fit by Gauss–Newton.
 
-    Without links, steps go on with slopes that follow from how the residual moved (Broyden, Math.
-    Comp. 19 (1965) 577). Differences are taken anew where these gain no more, and at the end.
+    Without links, steps go on with derivatives that follow from how the residual moved (Broyden,
+    Math. Comp. 19 (1965) 577). Differences are taken anew where these gain no more, and at the end.
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def fit_rig(
     like : Likelihood, optional
         How much rows say, as another fit found.
     near : RigFit, optional
-        Of a model without some effects: the slopes of what both have are nearly its own.
+        Of a model without some effects: the derivatives of what both have are nearly its own.
     """
     scales = scales_of(balance)
     if frees is None:
@@ -237,46 +237,46 @@ def fit_rig(
     left, drive = residuals(state, balance)
     count = left[0].shape[0]
     if like is None:
-        like = Likelihood(balance, np.full(count, 1.0 / ROWS_PER_NEWS))
+        like = Likelihood(balance, np.full(count, 1.0 / ROWS_PER_INDEPENDENT))
     likelihood = like.on(balance)
-    slopes = slopes_near(state, balance, frees, left, near, jobs)
+    derivatives = derivatives_near(state, balance, frees, left, near, jobs)
     fresh = near is None or not near.frees  # differences taken where the state is
-    # where slopes are rough, those of wide and of narrow differences find different steps
-    rough = unseen_impacts(state.model, balance)
+    # where derivatives are rough, those of wide and of narrow differences find different steps
+    rough = invisible_impacts(state.model, balance)
     vain, fine = 0, rough
     bends = balance.bends(state.model)  # too much for secants
     for _ in range(iterations if frees else 0):
         likelihood = likelihood.between(state.model)
         loss = total_loss(state, frees, left, likelihood)
-        better = stepped(state, frees, left, slopes, likelihood, loss)
+        better = stepped(state, frees, left, derivatives, likelihood, loss)
         gain, was_fresh = 0.0, fresh
         if better is not None:
             gain, fresh = loss - better[3], False
             step = np.array([(better[0].get(f) - state.get(f)) / f.scale for f in frees])
-            rows = zip(slopes, left, better[1], strict=True)
-            slopes = tuple(secant(p, new - old, step) for p, old, new in rows)
+            rows = zip(derivatives, left, better[1], strict=True)
+            derivatives = tuple(secant(p, new - old, step) for p, old, new in rows)
             state, left, drive, _ = better
-            frees, slopes = _rescaled(frees, slopes, state)
+            frees, derivatives = _rescaled(frees, derivatives, state)
         vain = vain + 1 if gain < TOLERANCE and was_fresh else 0
         if vain > rough:
             break
         fine ^= vain > 0
         if gain < TOLERANCE or bends:
-            slopes, fresh = jacobian(state, balance, frees, left, jobs=jobs, fine=fine), True
-    if rough:  # nearby slopes would determine numbers far more surely than runs do
-        slopes = jacobian(state, balance, frees, left, jobs=jobs)
+            derivatives, fresh = jacobian(state, balance, frees, left, jobs=jobs, fine=fine), True
+    if rough:  # nearby derivatives would determine numbers far more surely than runs do
+        derivatives = jacobian(state, balance, frees, left, jobs=jobs)
     elif not fresh:
-        slopes = slopes_near(state, balance, frees, left, near, jobs)
+        derivatives = derivatives_near(state, balance, frees, left, near, jobs)
     likelihood = likelihood.between(state.model)
     loss = total_loss(state, frees, left, likelihood)
-    return RigFit(state, frees, left, drive, slopes, likelihood, loss)
+    return RigFit(state, frees, left, drive, derivatives, likelihood, loss)
 
 
 def stepped(
     state: State,
     frees: Sequence[Free],
     left: Sequence[Floats],
-    slopes: Sequence[Floats],
+    derivatives: Sequence[Floats],
     likelihood: Likelihood,
     loss: float,
     beside: Beside | None = None,
@@ -290,8 +290,8 @@ def stepped(
         if used is smooth and (all(smooth) or not any(smooth)):
             continue
         own = [f for f, u in zip(frees, used, strict=True) if u]
-        more = beside and (beside.slopes[:, used], beside.left)
-        step = _step_of(state, own, left, [p[..., used] for p in slopes], likelihood, more)
+        more = beside and (beside.derivatives[:, used], beside.left)
+        step = _step_of(state, own, left, [p[..., used] for p in derivatives], likelihood, more)
         for shrink in (1.0, 0.3, 0.1, 0.03):
             trial = state.moved(own, state.after(own, step, shrink))
             try:
@@ -312,7 +312,7 @@ def _kink(free: Free) -> float:
     return PLACED_CATALOGUE[free.owner.partition("@")[0]].effect.kink
 
 
-def slopes_near(
+def derivatives_near(
     state: State,
     balance: Balance,
     frees: Sequence[Free],
@@ -320,33 +320,35 @@ def slopes_near(
     near: RigFit | None,
     jobs: int,
 ) -> tuple[Floats, ...]:
-    """Return the slopes of a model: those of a fit nearby where it has the same number."""
+    """Return the derivatives of a model: those of a fit nearby where it has the same number."""
     known = {} if near is None else {f.label: k for k, f in enumerate(near.frees)}
     new = [j for j, f in enumerate(frees) if f.label not in known]
     own = jacobian(state, balance, [frees[j] for j in new], left, jobs=jobs, fine=True)
     if near is None:
         return own
-    slopes = [np.empty((*part.shape, len(frees))) for part in left]
-    for k, part in enumerate(slopes):
+    derivatives = [np.empty((*part.shape, len(frees))) for part in left]
+    for k, part in enumerate(derivatives):
         part[..., new] = own[k]
         for j, free in enumerate(frees):
             if free.label in known:
                 other = known[free.label]
-                part[..., j] = near.slopes[k][..., other] * (free.scale / near.frees[other].scale)
-    return tuple(slopes)
+                part[..., j] = near.derivatives[k][..., other] * (
+                    free.scale / near.frees[other].scale
+                )
+    return tuple(derivatives)
 
 
 def _rescaled(
-    frees: Sequence[Free], slopes: Sequence[Floats], state: State
+    frees: Sequence[Free], derivatives: Sequence[Floats], state: State
 ) -> tuple[tuple[Free, ...], tuple[Floats, ...]]:
-    """Keep the difference steps in proportion to the values, and slopes per scale."""
+    """Keep the difference steps in proportion to the values, and derivatives per scale."""
     scales = [
         (max(abs(state.get(f)), f.least) or f.scale) if f.kind == "value" else f.scale
         for f in frees
     ]
     ratio = np.array([new / f.scale for f, new in zip(frees, scales, strict=True)])
     after = tuple(replace(f, scale=new) for f, new in zip(frees, scales, strict=True))
-    return after, tuple(part * ratio for part in slopes)
+    return after, tuple(part * ratio for part in derivatives)
 
 
 def total_loss(
@@ -380,13 +382,13 @@ def _step_of(
     state: State,
     frees: Sequence[Free],
     left: Sequence[Floats],
-    slopes: Sequence[Floats],
+    derivatives: Sequence[Floats],
     likelihood: Likelihood,
     more: tuple[Floats, Floats] | None = None,
 ) -> Floats:
     """Bounded least-squares step, in scales."""
     weights = likelihood.weights(left)
-    rows = weights[:, None] * likelihood.stack(slopes)
+    rows = weights[:, None] * likelihood.stack(derivatives)
     target = weights * likelihood.stack(left)
     extra, miss = prior_rows(state, frees, likelihood)
     # A little of Levenberg's damping decides directions that the logs do not show.
@@ -414,7 +416,7 @@ def noise_taken_out(
         return square, slope
     own, slope = np.zeros_like(square), slope.copy()
     here = noise_in_balance(state.model, likelihood.balance)
-    moved, rough = [], unseen_impacts(state.model, likelihood.balance)
+    moved, rough = [], invisible_impacts(state.model, likelihood.balance)
     for free in frees:
         if free.kind in ("zero", "twist"):
             moved.append([np.zeros_like(f) for f in here])

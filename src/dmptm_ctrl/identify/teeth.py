@@ -6,7 +6,7 @@ While teeth rest on a flank, the measured twist shows what they carry,
 
 and the balance of all bodies on one side of the link shows the same torque. It stands in the
 twist, so that the noise of a twist does not make a stiffness small. After a reversal teeth
-rattle, which no model predicts; until they push again, only the balance of all bodies counts.
+chatter, which no model predicts; until they push again, only the balance of all bodies counts.
 Source: paper Eq. 21, in contact.
 """
 

@@ -184,7 +184,7 @@ def response_plot(
         else:
             omega = np.geomspace(reach.min(), reach.max(), 1000)
             values = np.asarray(item(1j * omega)).ravel()
-        # Where friction holds, or all is rattle, there is no gain and no phase to speak of.
+        # Where friction holds, or all is impact chatter, there is no gain and no phase to speak of.
         moves = (np.abs(values) > 0.0) & (seen > LEAST_COHERENCE)
         hz, values = omega[moves] / (2 * np.pi), values[moves]
         gain = np.abs(values)

@@ -22,7 +22,7 @@ from dmptm_ctrl.simulate.rig_model import Placed, value_row
 
 # site -> what its kernel does to the rows `out` and `more`, of rows a to d in its arguments' order
 _CALLS = {
-    "drive": "out[i] = kernel(a[i], b[i], side, values)",
+    "amplifier": "out[i] = kernel(a[i], b[i], side, values)",
     "lag": "r = kernel(a[i], side, values); out[i] = r[0]; more[i] += r[1]",
     "motor": "out[i] += kernel(a[i], b[i], c[i], d[i], side, values)",
     "load": "out[i] += kernel(a[i], b[i], c[i], values)",

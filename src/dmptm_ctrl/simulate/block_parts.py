@@ -231,7 +231,7 @@ def _friction_block(given: Given, names: Names, g: int) -> ct.NonlinearIOSystem:
     """
     bodies, rubbing, on = given.parts.bodies[g], given.parts.rubbing[g], names.friction[g]
     links = _links_of(given, bodies) if any(given.parts.at("friction", b) for b in rubbing) else []
-    aged = [b for b in rubbing if given.parts.ageing(b, 0.0)[1] > 0.0]
+    aged = [b for b in rubbing if given.parts.dwell(b, 0.0)[1] > 0.0]
     elastic = given.parts.elastic[g] is not None
 
     def placed(parts, x, u):

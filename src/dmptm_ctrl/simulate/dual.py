@@ -26,12 +26,12 @@ MIN_COMPLIANCE = 1e-6  # rad/(N·m); below, the reducer's own mode is beyond the
 PINIONS, RING, MOTORS = (0, 1), 2, (3, 4)  # bodies
 # site -> parts where it acts, and the side or body that the kernel takes
 _PLACES: dict[str, tuple[tuple[int, int], ...]] = {
-    "drive": ((0, 0), (1, 1)),
+    "amplifier": ((0, 0), (1, 1)),
     "lag": ((0, 0), (1, 1)),
     "motor": ((3, 0), (4, 1)),
     "mesh": ((0, 0), (1, 1)),
     "friction": ((0, 0), (1, 1), (2, 2)),
-    "ageing": ((0, 0), (1, 1), (2, 2)),
+    "dwell": ((0, 0), (1, 1), (2, 2)),
     "load": ((RING, 0),),
     "sensor": ((0, 0), (1, 0)),
 }

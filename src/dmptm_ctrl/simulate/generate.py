@@ -64,7 +64,7 @@ class Names:
         self.state += [f"s{k}" for k, link in enumerate(s.links) if link[2] in (GAP, TWO_STATES)]
         self.state += [f"l{j}" for j, source in enumerate(s.inputs) if source[2]]
         self.state += [f"f{b}_bristle" for b in (coordinates if s.either else s.bristles)]
-        self.state += [f"age{b}" for b in range(len(s.bodies)) if s.at("ageing", b)]
+        self.state += [f"age{b}" for b in range(len(s.bodies)) if s.at("dwell", b)]
         self.signals = [f"u{j}" for j in range(len(s.inputs))]
         self.signals += [f"push{g}" for g in coordinates]
         for g in coordinates if s.either else ():
@@ -175,7 +175,7 @@ def step_lines(s: Structure, rows: bool = False) -> list[str]:
         _rub(s, text, g)
     for g in range(s.coordinates):
         for b in s.body_names(g):
-            if s.at("ageing", b):
+            if s.at("dwell", b):
                 speed = f"0.5 * {text.lever(b)}(v{g} + new{g})"
                 text.where("slip", b, f"age{b} = aged(age{b}, {speed}, h, slip{b})")
         text.add(f"p{g}, v{g} = v{g}, new{g}", f"q{g} = x{g} + 0.5 * h * v{g}")
@@ -199,7 +199,7 @@ def _middle(s: Structure, text: _Text) -> None:
 
 def _inputs(s: Structure, text: _Text) -> None:
     for j, (_, limited, lags) in enumerate(s.inputs):
-        text.act("drive", j, f"u{j}")
+        text.act("amplifier", j, f"u{j}")
         if limited:
             text.add(f"u{j} = min(lim{j}, max(-lim{j}, u{j}))")
         if lags:
@@ -266,7 +266,7 @@ def _load(s: Structure, body: int) -> str:
 def _rub(s: Structure, text: _Text, g: int) -> None:
     """Speed of a coordinate after friction of its bodies."""
     bodies = [
-        b for b in s.body_names(g) if s.bodies[b][2] or s.at("friction", b) or s.at("ageing", b)
+        b for b in s.body_names(g) if s.bodies[b][2] or s.at("friction", b) or s.at("dwell", b)
     ]
     if not bodies:
         text.add(f"new{g} = v{g} + force{g} * m{g}")
@@ -325,7 +325,7 @@ def _rub_of_body(s: Structure, text: _Text, g: int, b: int, bristle: int | None)
         f"load_{b} = {load}",
         f"scale_{b}, added_{b} = 1.0, 0.0",
     )
-    if s.at("ageing", b):
+    if s.at("dwell", b):
         text.add(f"slip{b} = 0.0")
         text.act("slip", b, f"slip{b}", f"age{b}")
         speed = f"0.5 * {text.lever(b)}(v{g} + o{g})"

@@ -103,7 +103,7 @@ rubbing, built_up = hosted(core.rubbing), hosted(core.built_up)
 
 def _drive_text(s: Structure, j: int) -> str:
     text = _Text(s)
-    text.effects(s.at("drive", j), "u = {call}", "u", "t")
+    text.effects(s.at("amplifier", j), "u = {call}", "u", "t")
     return "\n".join([f"@njit\ndef drive_{j}(u, t, on, e):", *text.lines, "    return u"])
 
 

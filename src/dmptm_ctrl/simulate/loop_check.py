@@ -40,7 +40,7 @@ def check_loop(
 
     Model and loop are as of :func:`~.closed.close_loop`. Try slow steps: sticking shows there. The
     last two thirds of `duration` [s] are watched for a limit cycle. Overshoot and settling are
-    those of a running mean over `window` [s]: rattle of the pinions above 1/window is not the
+    those of a running mean over `window` [s]: chatter of the pinions above 1/window is not the
     loop's. ValueError for a step of height 0.
     """
     if speed == 0.0:

@@ -72,7 +72,7 @@ class Parts:
 
     def signal(self, j: int, u: float, t: float) -> float:
         """Signal of an input after the effects on it and its limit."""
-        for kernel, side, p in self.at("drive", j):
+        for kernel, side, p in self.at("amplifier", j):
             u = kernel(u, t, side, p)
         limit = self.inputs[j][3]
         return min(limit, max(-limit, u)) if limit > 0.0 else u
@@ -124,13 +124,13 @@ class Parts:
 
     def rubs(self, b: int) -> bool:
         """Whether a body has any friction."""
-        kinds = (self.at(site, b) for site in ("friction", "ageing"))
+        kinds = (self.at(site, b) for site in ("friction", "dwell"))
         return bool(self.plant.rubs[b]) or any(kinds)
 
-    def ageing(self, b: int, age: float) -> tuple[float, float]:
+    def dwell(self, b: int, age: float) -> tuple[float, float]:
         """Coulomb torque added at the age of a contact [N·m], slip that makes it new [rad]."""
         added, slip = 0.0, 0.0
-        for kernel, side, p in self.at("ageing", b):
+        for kernel, side, p in self.at("dwell", b):
             torque, distance = kernel(age, side, p)
             added, slip = added + torque, max(slip, distance)
         return added, slip
@@ -140,7 +140,7 @@ class Parts:
 
         The factor acts on what other effects add as well: a warm bearing has less of all friction.
         """
-        scale, added = 1.0, self.ageing(b, age)[0]
+        scale, added = 1.0, self.dwell(b, age)[0]
         for kernel, side, p in self.at("friction", b):
             factor, more = kernel(theta, omega, t, load, side, p)
             scale, added = scale * factor, added + more
@@ -240,5 +240,5 @@ class Parts:
 
     def ageing_rate(self, b: int, v: float, age: float) -> float:
         """Rate of the age of a contact [s/s] at the speed of its coordinate."""
-        slip = self.ageing(b, age)[1]
+        slip = self.dwell(b, age)[1]
         return 1.0 - abs(self.ratio[b] * v) / slip * age if slip > 0.0 else 0.0

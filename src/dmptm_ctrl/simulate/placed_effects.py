@@ -23,13 +23,13 @@ from dmptm_ctrl.simulate.plant import CALLED, Floats, Place
 
 # site of the contract -> where it acts
 SITES = {
-    "drive": "input",
+    "amplifier": "input",
     "delay": "input",
     "lag": "input",
     "motor": "body",
     "load": "body",
     "friction": "body",
-    "ageing": "body",
+    "dwell": "body",
     "presliding": "body",
     "shaft": "body",
     "mesh": "link",
@@ -123,7 +123,7 @@ class PlacedEffect(NamedTuple):
 
 def whole(effect: Effect) -> PlacedEffect:
     """Return an effect whose parameters belong to one place as they are."""
-    side = RING if effect.site in ("friction", "presliding", "ageing") else 0
+    side = RING if effect.site in ("friction", "presliding", "dwell") else 0
     return PlacedEffect(effect, effect.parameters, tuple(range(len(effect.parameters))), side)
 
 

@@ -24,7 +24,7 @@ LINEAR, GAP, TWO_STATES, ELASTIC_IMPACT = 0, 1, 2, 3  # contact laws of a link
 GAP_LAWS = {"eq21": GAP, "two_state": TWO_STATES, "impact": ELASTIC_IMPACT}  # of `Link.contact`
 DECLARED, BY_EFFECT = 1, 2  # lags of an input
 # sites whose kernels the step calls; those of the others become numbers of the plant
-CALLED = ("drive", "lag", "motor", "mesh", "friction", "ageing", "load", "sensor")
+CALLED = ("amplifier", "lag", "motor", "mesh", "friction", "dwell", "load", "sensor")
 LAW_FIELDS = Stribeck._fields
 NO_LAW = Stribeck._make([*[0.0] * 8, 1.0, 1.0, 1.0])
 NO_EFFECTS = np.zeros(0)

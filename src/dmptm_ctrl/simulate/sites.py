@@ -18,7 +18,7 @@ from dmptm_ctrl.simulate.plant import NO_FLAGS, Flags, Ints, Place, Plant, Struc
 
 # kind -> arguments of its kernels, and what they change: {0} to {3}, from what they get
 CHANGES = {
-    "drive": ("{0}, t", "{0} = {call}"),
+    "amplifier": ("{0}, t", "{0} = {call}"),
     "lag": ("{0}", "c = {call}; {0} = c[0]; {1} = {1} + c[1]"),
     "motor": ("{a}, {b}, {c}, t", "{0} = {0} + {lever}{call}"),
     "load": ("{a}, {b}, t", "{0} = {0} + {lever}{call}"),
@@ -32,7 +32,7 @@ CHANGES = {
     "sensor": ("{0}, {1}, t", "{0}, {1} = {call}"),
 }
 CHANGES["turning"] = CHANGES["friction"]  # by the direction of the motion too
-_SITE = {"slip": "ageing", "aged": "ageing", "turning": "friction"}
+_SITE = {"slip": "dwell", "aged": "dwell", "turning": "friction"}
 _WITHOUT_SIDE = ("load", "sensor")  # kernels that take no side
 _NO_POSTS = np.zeros(0, np.int64)
 _ARRAYS = int64, uint8, float64, float64

@@ -14,7 +14,7 @@ from math import exp
 
 from numba import njit
 
-from dmptm_ctrl.effects.backlash import gap_rate, landing, mesh_region, region_torque
+from dmptm_ctrl.effects.backlash import gap_rate, impact_step, mesh_region, region_torque
 from dmptm_ctrl.effects.presliding import build_up_distance, fading
 from dmptm_ctrl.effects.stribeck import sliding_torque, viscous_torque
 
@@ -32,7 +32,7 @@ def mesh_step(z, z_rate, law, before, h):
     region = mesh_region(z, z_rate, law)
     torque = region_torque(z, z_rate, region, law)
     lands = (before == 0.0 or before == -region) and region * z_rate > 0.0
-    return torque + (_landed(z, z_rate, law, h) if lands else 0.0), region
+    return torque + (_impact_torque(z, z_rate, law, h) if lands else 0.0), region
 
 
 @njit
@@ -49,9 +49,9 @@ def plain_mesh(z, z_rate, law, before):
 
 
 @njit
-def _landed(z, z_rate, law, h):
-    """What a landing adds to the midpoint's torque."""
-    age, jump = landing(z, z_rate, law)
+def _impact_torque(z, z_rate, law, h):
+    """What an impact adds to the midpoint's torque."""
+    age, jump = impact_step(z, z_rate, law)
     return (min(max(age / h, 0.0), 1.0) - 0.5) * jump
 
 
@@ -75,18 +75,19 @@ def two_state_step(z, z_rate, position, law, h):
 
 
 @njit
-def at_rest(v, new, way, rest, hold, force, mobility):
+def at_rest(v, new, way, rest, hold, force, step_over_inertia):
     """Speed after a step of a body that rests, or would be carried through rest to `new`.
 
-    `hold` is what friction holds against `rest`, the direction of the force; `mobility` is h/J.
+    `hold` is what friction holds against `rest`, the direction of the force.
+    `step_over_inertia` is h/J.
     """
     share = abs(new) / (abs(v) + abs(new)) if v != 0.0 else 1.0  # of the step, behind the stop
-    moves = max(share * (abs(force) - hold) * mobility, 0.0) * rest
+    moves = max(share * (abs(force) - hold) * step_over_inertia, 0.0) * rest
     return moves if rest * way < 0.0 or v == 0.0 else 0.0
 
 
 @njit
-def preslide(v, v_mid, force, mobility, h, level, at_once, bristle, distance, lag, law):
+def preslide(v, v_mid, force, step_over_inertia, h, level, at_once, bristle, distance, lag, law):
     """Speed and friction after one step where friction is a spring before it slides."""
     way = 1.0 if v_mid > 0.0 else -1.0
     # of what is left to build up, after half of the step; one at rest, where nothing does
@@ -94,7 +95,7 @@ def preslide(v, v_mid, force, mobility, h, level, at_once, bristle, distance, la
     middle = bristle + (level - bristle) * (1.0 - half)
     built = (level - bristle) * (1.0 - half * half)
     damping = lag * fading(v_mid, way, law) * built / h
-    return v + (force - middle - damping - at_once) * mobility, bristle + built
+    return v + (force - middle - damping - at_once) * step_over_inertia, bristle + built
 
 
 @njit

@@ -14,6 +14,7 @@ import numpy as np
 from rigs import shapes, worth
 from rigs.catalogue import KNOWN
 from rigs.rig import make_rig, write_folder
+from rigs.shape_effects import ALIKE
 from rigs.unknowns import UNKNOWN
 
 # Of ten rigs, so many with so many effects; "unknown": one on no list.
@@ -138,7 +139,7 @@ def together(rng, names, count):
     """Some names that can stand together."""
     while True:
         chosen = [str(n) for n in rng.choice(names, count, replace=False)] if count else []
-        if not any(len(alike & set(chosen)) > 1 for alike in (*_ALIKE, *shapes.ALIKE)):
+        if not any(len(alike & set(chosen)) > 1 for alike in (*_ALIKE, *ALIKE)):
             return sorted(chosen)
 
 

@@ -68,7 +68,7 @@ def test_register_refuses_a_taken_name_and_an_unknown_site():
     before = dict(CATALOGUE)
     with pytest.raises(ValueError, match="'unbalance' is in the catalogue already"):
         register(UNBALANCE)
-    with pytest.raises(ValueError, match="no site 'axle'; sites are drive, delay"):
+    with pytest.raises(ValueError, match="no site 'axle'; sites are amplifier, delay"):
         register(UNBALANCE._replace(name="other", site="axle"))
     assert before == CATALOGUE
 

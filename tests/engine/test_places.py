@@ -59,7 +59,7 @@ SIZES = {
     "drive_offset": {"offset": 0.1},
 }
 PARTS = {
-    "input": ["amplifier"],
+    "input": ["drive"],
     "body": ["motor", "arm"],
     "link": ["gear"],
     "sensor": ["near", "far"],

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.diagnosis.test_rig_evidence import geared
+from tests.diagnosis.test_rig_contacts import geared
 
 from dmptm_ctrl.identify.gap_search import at_start, gap_starts
 from dmptm_ctrl.identify.rig_start import rough_start

@@ -73,7 +73,7 @@ def diagnose_rig(
     warnings = (*left_out, *warnings)
     tell("comparing the sensors")
     faults = sensor_faults(declared, loaded)
-    right = [put_right(declared, log, faults) for log in loaded]
+    right = [put_right(declared, log, [f.placed for f in faults]) for log in loaded]
     balance, short = _long_enough(balance_of(declared, right))
     balance, pieces = _in_pieces(balance)
     warnings = (*warnings, *short, *pieces)

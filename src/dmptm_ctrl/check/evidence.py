@@ -19,11 +19,10 @@ from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.balance import columns as dual_columns
 from dmptm_ctrl.identify.balance import role_of, split, weights
 from dmptm_ctrl.identify.fit import Unknown, drive_unknowns, effect_unknowns
-from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.free_parameters import Free, free_parameters, log_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.likelihood import Likelihood, size_of, weights_of
-from dmptm_ctrl.identify.measured_motion import HIGHEST
+from dmptm_ctrl.identify.pushing_teeth import in_contact
 from dmptm_ctrl.identify.records import Record, record, started
 from dmptm_ctrl.identify.rig_fit import ROWS_PER_NEWS, fit_rig, jacobian, noise_taken_out, residuals
 from dmptm_ctrl.identify.state import State
@@ -73,7 +72,7 @@ def evidence_of(
 ) -> Evidence:
     """Return what logs say about a model; LogError where too short or without motion.
 
-    The balance of a rig is compared below `bandwidth` [Hz], by default what the logs allow.
+    The balance of a rig is compared below `bandwidth` [Hz], or what the logs allow if that is less.
     """
     logs = tuple(logs)
     for log in logs:
@@ -166,9 +165,10 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int, bandwidth: float | 
     wrong = [e for e in model.effects if e.on in sensors]
     logs = [put_right(model.rig, log, wrong) for log in logs]
     model = model.without([e.key for e in wrong])
-    if bandwidth is not None:
-        bandwidth = min(bandwidth, *(HIGHEST / log.sample_time for log in logs))
-    balance = touching(balance_of(model.rig, logs, bandwidth=bandwidth), model, logs)
+    balance = balance_of(model.rig, logs)
+    if bandwidth is not None and bandwidth < balance.bandwidth:
+        balance = balance_of(model.rig, logs, bandwidth=bandwidth)
+    balance = in_contact(balance, model, logs)
     model = replace(model, closed=balance.closed)
     of_logs = [log_parameters(model, balance, m.name, "") for m in balance.motions]
     state = _zeroed(State(model), balance, of_logs)

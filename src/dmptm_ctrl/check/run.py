@@ -130,7 +130,7 @@ def check(
     floor : float, optional
         Residual of the torque balance that the model's own diagnosis left.
     bandwidth : float, optional
-        Below which it did [Hz]; of rigs. By default what these logs allow.
+        Below which it did [Hz], of rigs. These logs may allow less.
     tolerance : float
         Share of an entry's value by which it may differ.
     jobs : int

@@ -159,6 +159,14 @@ def test_public_function_stays_beside_a_subpackage_of_its_name():
         assert inspect.isfunction(getattr(dmptm_ctrl, name))
 
 
+def test_modules_behind_such_a_function_are_imported_under_a_short_name():
+    import dmptm_ctrl.check.moved as moved
+    import dmptm_ctrl.export.run as run
+
+    assert moved.find_moved.__module__ == "dmptm_ctrl.check.moved"
+    assert run.export_file.__module__ == "dmptm_ctrl.export.run"
+
+
 def test_closed_loop_is_the_compiled_one_as_a_response():
     from dmptm_ctrl.simulate import compiled
 

@@ -158,6 +158,8 @@ def _checked(name: str, function: Any) -> Any:
         refuse_wrong_call(name, wanted, args, options)
         return function(*args, **options)
 
+    # ``import dmptm_ctrl.check.run as run`` looks behind the function by its name
+    checked.__name__ = f"{__name__}.{name}"
     plain = [p.replace(annotation=Parameter.empty) for p in wanted.parameters.values()]
     checked.__signature__ = Signature(plain)  # type: ignore[attr-defined]
     return checked

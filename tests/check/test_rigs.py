@@ -93,6 +93,38 @@ def test_logs_that_disagree_are_told(model, name):
     assert check(model, [old, again]).warnings == ()
 
 
+@pytest.mark.parametrize(
+    ("effect", "column", "wrong"),
+    [
+        (Placed("sensor_gain", "speed", {"error": 0.06}), "w", lambda y: 1.06 * y),
+        (
+            Placed("encoder_eccentricity", "position", {"cosine": 0.03, "sine": 0.02}),
+            "q",
+            lambda y: y + 0.03 * np.cos(y) + 0.02 * np.sin(y),
+        ),
+    ],
+)
+def test_what_the_model_says_of_a_sensor_is_no_change(model, effect, column, wrong):
+    bench = BENCH.with_(sensors=(effect.on,), seed=8)
+    rig, right = logs_of(bench, 8)
+    tables = [{**t, column: wrong(t[column])} for t in bench.logs().values()]
+    logs = rig.read([pd.DataFrame(columns) for columns in tables])
+    own = replace(model, rig=rig)
+    floor = evidence_of(own, right).torque_rms
+    assert not check(own, logs, floor=floor).same  # the premise
+    assert check(own.with_effect(effect), logs, floor=floor).same
+
+
+def test_runs_that_show_more_of_the_noise_are_no_change(model):
+    """Fast motion allows a wider band; the residual is that of the band of the diagnosis."""
+    seen, kinds = BENCH.with_(sensors=("position",)), (("prbs", 6.0),)
+    rig, slow = logs_of(seen.with_(kinds=(("sine", 5.0),)), 3)
+    own, fast = replace(model, rig=rig), logs_of(seen.with_(kinds=kinds), 3)[1]
+    floor, band = evidence_of(own, slow).torque_rms, balance_of(rig, slow).bandwidth
+    assert not check(own, fast, floor=floor).same  # the premise
+    assert check(own, fast, floor=floor, bandwidth=band).same
+
+
 @pytest.fixture(scope="module")
 def loose():
     """A machine with a gap between two encoders, and the model of a fit."""

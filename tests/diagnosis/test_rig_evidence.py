@@ -285,7 +285,7 @@ def test_sensors_of_one_motion_are_judged_before_any_dynamics():
     (fault,) = sensor_faults(rig, wrong)
     assert fault.placed.key == "sensor_gain@speed"
     assert fault.placed.values["error"] == pytest.approx(0.03, abs=3e-3)
-    right = put_right(rig, wrong[0], [fault])
+    right = put_right(rig, wrong[0], [fault.placed])
     assert np.std(right["out_speed"]) == pytest.approx(
         np.std(wrong[0]["out_speed"]) / 1.03, rel=3e-3
     )

@@ -130,6 +130,16 @@ def test_long_samples_are_run_as_finely_as_short_ones(tmp_path):
     close(c_run(plant_program(Model(), 20 * DT), volts[:, ::20], tmp_path), true)
 
 
+@needs_compiler
+def test_long_samples_of_a_stiff_rig_are_run_finely(tmp_path):
+    """Its fastest mode needs 8000 steps in half a second; 400 gave no numbers."""
+    rig = parse_rig(RIG.replace("40 N m/rad", "4000 N m/rad"), "rig.toml")
+    held = np.array([6.0, -6.0, 6.0, 6.0])
+    true = simulate(RigModel(rig), DT * np.arange(2000), np.repeat(held, 500)[None]).outputs.T
+    found = c_run(plant_program(RigModel(rig), 500 * DT), held[None], tmp_path)
+    close(found, true[::500], 1e-4)
+
+
 def rig_model(*effects):
     return RigModel(parse_rig(RIG, "rig.toml"), effects)
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -51,6 +52,19 @@ def test_report_stands_alone(bench):
     assert "<script" not in page
     assert "http://" not in page
     assert "https://" not in page
+
+
+@pytest.mark.parametrize(("friction", "code"), [(1.0, 0), (1.2, 1)])
+def test_check_of_other_experiments_than_the_fitted_ones(bench, friction, code, tmp_path, capsys):
+    other = BENCH.with_(
+        kinds=(("prbs", 5.0), ("multisine", 8.0)), seed=32,
+        machine=replace(BENCH.machine, fc=friction * BENCH.machine.fc),
+    )  # fmt: skip
+    for name, columns in other.logs().items():
+        pd.DataFrame(columns).to_csv(tmp_path / f"{name}.csv", index=False)
+    model = str(bench / "out" / "model.toml")
+    assert main(["check", str(tmp_path), "--model", model]) == code
+    assert ("coulomb_friction@motor: +" in capsys.readouterr().out) == bool(code)
 
 
 def test_prediction_follows_the_log(bench, capsys):

@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.measure import MIN_SAMPLES
 from dmptm_ctrl.diagnosis.residual import balances
+from dmptm_ctrl.diagnosis.rig_curves import mean_square
+from dmptm_ctrl.diagnosis.sensors import put_right
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.balance import columns as dual_columns
 from dmptm_ctrl.identify.balance import role_of, split, weights
 from dmptm_ctrl.identify.fit import Unknown, drive_unknowns, effect_unknowns
-from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.free_parameters import Free, free_parameters, log_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.likelihood import Likelihood, size_of, weights_of
+from dmptm_ctrl.identify.pushing_teeth import in_contact
 from dmptm_ctrl.identify.records import Record, record, started
 from dmptm_ctrl.identify.rig_fit import (
     ROWS_PER_INDEPENDENT,
@@ -65,20 +67,25 @@ class Evidence:
     derivatives: Floats  # (m, k), per scale of each parameter
     parameters: tuple[Parameter, ...]
     stretch: NDArray[np.int64]  # (m,): rows of one second, log and equation may be wrong alike
-    torque_rms: float  # of the whole drive's balance, robust against bursts
+    torque_rms: float  # of the whole drive's balance while it moves, robust against bursts
     unit: str
     # what the noise of readings adds to JᵀJ and Jᵀe, J the derivatives and e what is left
     noise: tuple[Floats, Floats] | None = None
 
 
-def evidence_of(model: AnyModel, logs: Iterable[Log], jobs: int = 1) -> Evidence:
-    """Return what logs say about a model; LogError where too short or without motion."""
+def evidence_of(
+    model: AnyModel, logs: Iterable[Log], jobs: int = 1, *, bandwidth: float | None = None
+) -> Evidence:
+    """Return what logs say about a model; LogError where too short or without motion.
+
+    The balance of a rig is compared below `bandwidth` [Hz], or what the logs allow if that is less.
+    """
     logs = tuple(logs)
     for log in logs:
         if len(log) < MIN_SAMPLES:
             raise LogError(f"{log.name}: {len(log)} samples; a check needs at least {MIN_SAMPLES}")
     if isinstance(model, RigModel):
-        return _of_rig(model, logs, jobs)
+        return _of_rig(model, logs, jobs, bandwidth)
     return _of_dual(model, logs, jobs)
 
 
@@ -157,11 +164,17 @@ ROUNDS = 3
 LOOSE = 10.0  # of the declared ranges: a worn machine may leave them
 
 
-def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int) -> Evidence:
-    sensors = [s.channel for s in model.rig.sensors]
-    if not any(np.ptp(log[channel]) > 0.0 for log in logs for channel in sensors):
+def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int, bandwidth: float | None) -> Evidence:
+    sensors = {s.name: s.channel for s in model.rig.sensors}
+    if not any(np.ptp(log[channel]) > 0.0 for log in logs for channel in sensors.values()):
         raise LogError("nothing to check: the drive does not move in these logs")
-    balance = touching(balance_of(model.rig, logs), model, logs)
+    wrong = [e for e in model.effects if e.on in sensors]
+    logs = [put_right(model.rig, log, wrong) for log in logs]
+    model = model.without([e.key for e in wrong])
+    balance = balance_of(model.rig, logs)
+    if bandwidth is not None and bandwidth < balance.bandwidth:
+        balance = balance_of(model.rig, logs, bandwidth=bandwidth)
+    balance = in_contact(balance, model, logs)
     model = replace(model, closed=balance.closed)
     of_logs = [log_parameters(model, balance, m.name, "") for m in balance.motions]
     state = _zeroed(State(model), balance, of_logs)
@@ -201,7 +214,6 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int) -> Evidence:
         own = free.kind in ("value", "effect")
         value = state.get(free) if own else 0.0
         parameters.append(Parameter(free.label, unit, value, free.scale, float(sd), own))
-    first = np.concatenate([part[0] for part in left])
     linear = model.rig.body(model.rig.inputs[0].body).linear
     return Evidence(
         flat,
@@ -214,7 +226,7 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int) -> Evidence:
                 for _ in range(count)
             ]
         )[use],
-        float(np.sqrt(np.mean(first**2))),
+        float(np.sqrt(mean_square(left, balance))),
         "N" if linear else "N·m",
         (square - clear[0], gradient + clear[1]),
     )

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +113,7 @@ def check(
     *,
     errors: Mapping[str, float] | None = None,
     floor: float | None = None,
+    bandwidth: float | None = None,
     tolerance: float = TOLERANCE,
     jobs: int = 2,
 ) -> Check:
@@ -120,13 +122,15 @@ def check(
     Parameters
     ----------
     model : Model, RigModel or path of a model.toml
-        Of a file, a diagnosis.json beside it gives `errors` and `floor`.
+        Of a file, a diagnosis.json beside it gives `errors`, `floor` and `bandwidth`.
     logs : folder, files or Logs
     errors : mapping of parameter key to float, optional
         Standard errors of the model's parameters [SI]. A parameter that is not there is taken
         as uncertain as these logs would leave it.
     floor : float, optional
         Residual of the torque balance that the model's own diagnosis left.
+    bandwidth : float, optional
+        Below which it did [Hz], of rigs. These logs may allow less.
     tolerance : float
         Share of an entry's value by which it may differ.
     jobs : int
@@ -152,7 +156,8 @@ def check(
         path = Path(model)
         recorded = _recorded(path.with_name("diagnosis.json"))
         errors = {**_errors(recorded), **(errors or {})}
-        floor = _floor(recorded) if floor is None else floor
+        if floor is None:
+            floor, bandwidth = _floor(recorded)
         model = read_model(path)
     loaded, notes = _loaded(model, logs)
     notes += [f"{log.name}: {text}" for log in loaded for text in log.warnings]
@@ -162,7 +167,8 @@ def check(
         if date is not None:
             dated.setdefault(date, []).append(log)
     dated = dict(sorted(dated.items())) or {datetime.min: list(loaded)}
-    shown = {date: _shown(model, own, errors or {}, jobs) for date, own in dated.items()}
+    show = partial(_shown, model, errors=errors or {}, bandwidth=bandwidth, jobs=jobs)
+    shown = {date: show(own) for date, own in dated.items()}
     entries = {date: entries_of(evidence.parameters) for date, (evidence, _) in shown.items()}
     found = {
         date: find_moved(information, entries[date], tolerance)
@@ -178,7 +184,10 @@ def check(
     }
     evidence = shown[newest][0]
     names = tuple(log.name for log in dated[newest])
-    each = _each(model, dated[newest], errors or {}, jobs)
+    each: dict[str, Information] = {}  # what single logs say, of those that show motion
+    for log in dated[newest] if len(names) > 1 else ():
+        with suppress(LogError):
+            each[log.name] = show([log])[1]
     apart = disagreement(each, [c.entry for c in alone], [c.entry for c in moved], tolerance)
     notes += [apart] if apart else []
     rms, unit = evidence.torque_rms, evidence.unit
@@ -203,21 +212,15 @@ def check_files(
 
 
 def _shown(
-    model: AnyModel, logs: Sequence[Log], errors: Mapping[str, float], jobs: int
+    model: AnyModel,
+    logs: Sequence[Log],
+    *,
+    errors: Mapping[str, float],
+    bandwidth: float | None,
+    jobs: int,
 ) -> tuple[Evidence, Information]:
-    evidence = only_own(evidence_of(model, logs, jobs))
+    evidence = only_own(evidence_of(model, logs, jobs, bandwidth=bandwidth))
     return evidence, information_of(evidence, errors)
-
-
-def _each(
-    model: AnyModel, logs: Sequence[Log], errors: Mapping[str, float], jobs: int
-) -> dict[str, Information]:
-    """What single logs say, of those that show motion."""
-    found = {}
-    for log in logs if len(logs) > 1 else ():
-        with suppress(LogError):
-            found[log.name] = _shown(model, [log], errors, jobs)[1]
-    return found
 
 
 def date_of(name: str) -> datetime | None:
@@ -263,13 +266,14 @@ def _errors(recorded: Mapping[str, Any]) -> dict[str, float]:
     return found
 
 
-def _floor(recorded: Mapping[str, Any]) -> float | None:
-    """Torque error that the diagnosis left on held-out logs."""
+def _floor(recorded: Mapping[str, Any]) -> tuple[float | None, float | None]:
+    """Torque error that the diagnosis left on held-out logs, and below how many hertz."""
     error = recorded.get("error", {})
     after = error.get("after", {})
-    if isinstance(after.get("torque"), dict):
-        return after["torque"].get("rmse")
-    return after.get("rmse") if error.get("unit") in ("N", "N·m") else None
+    torque = after.get("torque")
+    if isinstance(torque, dict):
+        return torque.get("rmse"), torque.get("bandwidth_hz")
+    return (after.get("rmse") if error.get("unit") in ("N", "N·m") else None), None
 
 
 def _row(change: Change) -> dict[str, Any]:

@@ -34,12 +34,11 @@ from dmptm_ctrl.diagnosis.screen import READ_ROWS
 from dmptm_ctrl.diagnosis.select import Selection, beyond_need, select_effects
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rig import Rig, is_known
-from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.gap_search import at_start, gap_starts
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.measured_motion import FEWEST_ROWS, STRETCHES
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
-from dmptm_ctrl.identify.pushing_teeth import centred, pushing
+from dmptm_ctrl.identify.pushing_teeth import in_contact
 from dmptm_ctrl.identify.rig_fit import fit_rig, invisible_impacts
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.identify.state import State
@@ -73,7 +72,7 @@ def diagnose_rig(
     warnings = (*left_out, *warnings)
     say("comparing the sensors")
     faults = sensor_faults(declared, loaded)
-    right = [put_right(declared, log, faults) for log in loaded]
+    right = [put_right(declared, log, [f.placed for f in faults]) for log in loaded]
     balance, short = _long_enough(balance_of(declared, right))
     balance, pieces = _in_pieces(balance)
     warnings = (*warnings, *short, *pieces)
@@ -189,7 +188,7 @@ def _fitted(
         for k in range(ROUNDS):
             if k > 0:
                 start = fit_rig(State(start), logs, jobs=jobs).model
-            balance = _in_contact(balance, start, read)
+            balance = in_contact(balance, start, read)
             logs, held, _, _ = split(model.rig, balance)
     evidence = RigEvidence(logs, held, jobs, read)
     base = evidence.base(State(start))
@@ -206,11 +205,6 @@ def _started_anew(evidence: RigEvidence, base: RigState, link: str) -> RigState:
     starts = gap_starts(model, base.logs, link, surprise, jobs=evidence.jobs)
     again = (State(at_start(model, one), base.fit.state.logs) for one in starts[:1])
     return min(base, *map(evidence.base, again), key=lambda one: surprise(one.fit.model))
-
-
-def _in_contact(balance: Balance, model: RigModel, read: Sequence[Log]) -> Balance:
-    """Say when teeth touch, by a model on the logs."""
-    return pushing(touching(centred(balance, model), model, read), model, read)
 
 
 def predictions(
@@ -273,7 +267,7 @@ def _as_read(
 ) -> RigState:
     """Return the declared model fitted to the logs as the sensors read them."""
     whole = balance_of(rig, read, bandwidth=balance.bandwidth).only(balance.logs).at_most(SAMPLES)
-    logs, held, _, _ = split(rig, _in_contact(whole, contact, read))
+    logs, held, _, _ = split(rig, in_contact(whole, contact, read))
     fitted = RigEvidence(logs, held, jobs).refit(base, logs, held)
     return Ahead.of(rig, read, logs, SAMPLES, jobs).fitted(fitted)
 

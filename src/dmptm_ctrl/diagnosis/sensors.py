@@ -4,7 +4,7 @@ The speed sensor and the ring encoder see one motion, so
 ω(t) = (1 + s) θ̇(t − T) + b and an eccentric disc adds terms of order 1.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -214,13 +214,13 @@ def _of(check: SensorCheck, angle: Sensor, speed: Sensor) -> list[SensorFault]:
     return faults
 
 
-def put_right(rig: Rig, log: Log, faults: Sequence[SensorFault]) -> Log:
-    """Return a log as right sensors would have read it."""
+def put_right(rig: Rig, log: Log, effects: Iterable[Placed]) -> Log:
+    """Return a log as sensors without these effects would have read it."""
     channels = dict(log.channels)
     sensors = {s.name: s for s in rig.sensors}
-    for fault in faults:
-        name, values = fault.placed.name, fault.placed.values
-        channel = sensors[fault.placed.on].channel
+    for effect in effects:
+        name, values = effect.name, effect.values
+        channel = sensors[effect.on].channel
         signal = channels[channel]
         if name == SENSOR_GAIN.name:
             signal = signal / (1.0 + values["error"])

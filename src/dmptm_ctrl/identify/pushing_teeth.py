@@ -1,12 +1,12 @@
 """When the teeth of links that are measured at both ends push, and where their gaps are."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from dmptm_ctrl.identify.following import lately_changed
+from dmptm_ctrl.identify.following import lately_changed, touching
 from dmptm_ctrl.identify.forces import forces_of
 from dmptm_ctrl.identify.free_parameters import same_twist
 from dmptm_ctrl.identify.inverse_dynamics import TAIL, Balance
@@ -18,6 +18,11 @@ from dmptm_ctrl.simulate.plant import link_matrices
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 SWINGS = 2.0  # periods of the bandwidth, over which it is looked at how far teeth swing
+
+
+def in_contact(balance: Balance, model: RigModel, logs: Sequence[Log]) -> Balance:
+    """Tell when teeth touch, by a model on the logs."""
+    return pushing(touching(centred(balance, model), model, logs), model, logs)
 
 
 def centred(balance: Balance, model: RigModel) -> Balance:

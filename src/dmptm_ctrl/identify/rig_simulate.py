@@ -12,7 +12,7 @@ from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.observer import observer_gains, rigid_observer
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
-from dmptm_ctrl.simulate.rig_run import MAX_SUBSTEPS, RigRun, march, substeps_for
+from dmptm_ctrl.simulate.rig_run import RigRun, march, most_substeps, substeps_for
 
 START = 12  # samples from which the first position and speed are taken
 MANY = 4  # samples or fewer show no speed; the start counts as at rest
@@ -91,7 +91,7 @@ def free_run(model: RigModel, log: Log, *, lead_hz: float = 0.0) -> RigRun:
     # a log begins in the midst of things: earlier signals were as its first
     steps = max(substeps_for(model.plant(), log.sample_time), _steps_of_waves(model, log))
     run = partial(march, model, dt=log.sample_time, position=position, before=u[:, 0])
-    run = partial(run, substeps=min(steps, MAX_SUBSTEPS))
+    run = partial(run, substeps=min(steps, most_substeps(log.sample_time)))
     run = partial(run, speed=_likelier(run, log, u, [dict.fromkeys(speed, 0.0), speed]))
     if lead_hz == 0.0:
         return run(u)

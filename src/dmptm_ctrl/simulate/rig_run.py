@@ -17,7 +17,7 @@ from dmptm_ctrl.simulate.run import Controller as RunController
 from dmptm_ctrl.simulate.run import Motion, State, advance, advance_by, start_state, structure_for
 
 STEPS_PER_RADIAN = 8.0  # of the fastest mode, and of the fastest decay
-MAX_SUBSTEPS = 400
+MAX_SUBSTEPS = 400  # per millisecond, and per sample that is shorter
 
 
 def as_rig_model(model: Rig | RigModel, name: str) -> RigModel:
@@ -69,7 +69,12 @@ def substeps_for(plant: Plant, dt: float) -> int:
     fast = float(np.sqrt(np.abs(np.linalg.eigvals(inverse * stiffness)).max(initial=0.0)))
     decay = float(np.abs(np.linalg.eigvals(inverse * damping)).max(initial=0.0))
     steps = dt * STEPS_PER_RADIAN * max(fast, decay)
-    return int(min(max(ceil(steps), 1), MAX_SUBSTEPS))
+    return int(min(max(ceil(steps), 1), most_substeps(dt)))
+
+
+def most_substeps(dt: float) -> int:
+    """Most substeps in a sample; a sample of many milliseconds needs as many for each."""
+    return MAX_SUBSTEPS * max(ceil(1e3 * dt), 1)
 
 
 def march(

@@ -3,9 +3,19 @@
 import numpy as np
 import pytest
 from tests.diagnosis.test_rig_contacts import geared
+from tests.diagnosis.test_rig_evidence import logs_of
+from tests.rig_files.truth import Bench, Machine
 
-from dmptm_ctrl.identify.gap_search import at_start, gap_starts
+from dmptm_ctrl.diagnosis.candidate import LEVEL
+from dmptm_ctrl.diagnosis.rig_diagnose import split
+from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.identify.gap_search import at_start, from_elsewhere, gap_starts
+from dmptm_ctrl.identify.inverse_dynamics import balance_of
+from dmptm_ctrl.identify.rig_fit import fit_rig
 from dmptm_ctrl.identify.rig_start import rough_start
+from dmptm_ctrl.identify.state import State
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 
 @pytest.fixture(scope="module")
@@ -59,3 +69,30 @@ def test_all_friction_stays_and_so_do_declared_inertias(hidden):
 def test_none_where_no_model_can_be_simulated(hidden):
     balance, model = hidden
     assert gap_starts(model, balance, "coupling", lambda there: np.inf) == []
+
+
+def test_a_side_minimum_is_left():
+    """Between bodies of one size teeth chatter: steps along slopes end near a start, beside it."""
+    machine = Machine(
+        gain=1.0, emf=0.0, j1=3.7e-4, j2=3.4e-4, ratio=1.0, k=2.65, c=2.2e-3, gap=0.022, fc=9e-3,
+        b1=1.5e-3, b2=6.6e-4,
+    )  # fmt: skip
+    kinds = (("multisine", 0.15), ("steps", 0.1), ("chirp", 0.12))
+    bench = Bench(machine, kinds, 4.0, 1e-3, counts=8192, sensors=("position",))
+    text = bench.rig().replace('"unknown"', '"3.6e-4 kg m^2 ± 20 %"', 2)
+    text = text.replace('viscous = "3.6e-4 kg m^2 ± 20 %"', 'viscous = "unknown"', 1)
+    text = text.replace("viscous =", 'coulomb = "9.5e-3 N m ± 30 %"\nviscous =', 1)
+    text = text.replace('stiffness = "unknown"', 'stiffness = "2.8 N m/rad ± 30 %"')
+    rig = parse_rig(text, "rig.toml")
+    logs, held, _, _ = split(rig, balance_of(rig, logs_of(bench, rig)))
+    evidence = RigEvidence(logs, held, 1)
+    base = evidence.base(State(rough_start(RigModel(rig), logs)))
+    narrow = base.fit.model.with_effect("backlash", on="coupling", half_gap=0.012)
+    near = fit_rig(State(narrow), logs, iterations=30)
+    before = np.random.get_state()[1].copy()  # noqa: NPY002
+    found = from_elsewhere(near, iterations=30, jobs=1)
+    assert found.loss < near.loss - LEVEL
+    assert found.values["backlash@coupling.half_gap"] == pytest.approx(0.022, rel=0.06)
+    assert found.values["link.coupling.stiffness"] == pytest.approx(2.65, rel=0.06)
+    after = np.random.get_state()[1]  # noqa: NPY002
+    np.testing.assert_array_equal(after, before)  # the user's own

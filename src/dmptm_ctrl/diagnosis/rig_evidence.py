@@ -34,6 +34,7 @@ from dmptm_ctrl.identify.free_parameters import (
     free_parameters,
     scales_of,
 )
+from dmptm_ctrl.identify.gap_search import from_elsewhere
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.likelihood import Likelihood
 from dmptm_ctrl.identify.measured_motion import Nuisance
@@ -45,7 +46,6 @@ from dmptm_ctrl.identify.rig_fit import (
     stepped,
     total_loss,
 )
-from dmptm_ctrl.identify.rig_start import from_elsewhere
 from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Floats
@@ -294,12 +294,13 @@ class RigEvidence:
         return RigState(fit, state.held, keys, vars(state).get("trials", ()))
 
     def _to_the_end(self, start: State, like: RigFit, keys: Keys) -> RigFit:
-        """Fit to the end; where a gap is among the added effects, from several of its sizes."""
+        """Fit to the end; where an added gap lies before hidden bodies, from elsewhere as well."""
         known, near = like.likelihood, self._alike(start, like)
         logs = known.balance
         fit = fit_rig(start, logs, iterations=SETTLE, like=known, near=near, jobs=self.jobs)
-        for key in (k for k in keys if name_of(k) == BACKLASH.name):
-            fit = from_elsewhere(fit, key, iterations=SETTLE, jobs=self.jobs)
+        gap = any(name_of(key) == BACKLASH.name for key in keys)
+        if gap and invisible_impacts(fit.model, logs):
+            return from_elsewhere(fit, iterations=SETTLE, jobs=self.jobs)
         return fit
 
     def closed(self, state: RigState) -> RigState:

@@ -1,14 +1,15 @@
-"""Starting values of a gap before bodies that nothing measures.
+"""Gaps before bodies that nothing measures.
 
-When teeth meet depends on all that came before, so the fit of such a gap has many minima. Points
-spread evenly over all that is unknown of the link show which are deep; more are spread around the
-best, ever closer.
-Source: Sobol' points in a shrinking box, as Masri, Bekey and Safford, Appl. Math. Comput. 7 (1980)
-353, do with random ones.
+When teeth meet depends on all that came before, so the fit of such a gap has many minima, and
+slopes lead to the nearest. Points spread evenly over all that is unknown of the link show where to
+begin; more are spread around the best, ever closer. From there an evolution strategy goes on: it
+looks at a whole region.
+Sources: Sobol' points in a shrinking box, as Masri, Bekey and Safford, Appl. Math. Comput. 7 (1980)
+353, do with random ones; N. Hansen, The CMA evolution strategy, arXiv:1604.00772.
 """
 
 from collections.abc import Callable
-from math import exp, inf, isfinite, sqrt
+from math import exp, inf, isfinite, log, nan, sqrt
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,10 @@ from scipy.stats import qmc
 from dmptm_ctrl.drive.rig import is_known
 from dmptm_ctrl.identify.free_parameters import scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance
+from dmptm_ctrl.identify.likelihood import TOLERANCE
+from dmptm_ctrl.identify.rig_fit import RigFit, fit_rig, residuals, total_loss
 from dmptm_ctrl.identify.rig_start import HIGHEST_MODE, LOWEST_MODE
+from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import BACKLASH
@@ -30,6 +34,9 @@ ROUNDS = 6
 NARROWER = 0.6  # side of the box after a round
 GAPS = 1e-5, 3e-2  # half-gaps, of the travel
 DAMPED = 0.02, 1.0  # damping ratios
+REGION = 0.3  # of each number; an evolution strategy looks that far at first
+POINTS = 100  # that it looks at, per number at most
+CROWD = 2  # times as many in a round as for one valley, as Hansen advises where there are many
 
 Start = tuple[tuple[Placed, ...], dict[str, float]]
 
@@ -48,7 +55,7 @@ def gap_starts(
 
     Without a gap the logs show only the sum of the friction on both sides of a link; through a gap
     it does not pass. A gap that is not in the model makes a spring soft and inertias wrong, so
-    declared inertias are taken.
+    they are taken as declared.
 
     Parameters
     ----------
@@ -87,6 +94,47 @@ def at_start(model: RigModel, start: Start) -> RigModel:
     return model
 
 
+def from_elsewhere(fit: RigFit, *, iterations: int, jobs: int) -> RigFit:
+    """Fit again from the best of many models around; return the better fit."""
+    import cma  # not before it is needed: it takes long to import
+
+    balance, like = fit.likelihood.balance, fit.likelihood
+    frees = [f for f in fit.frees if f.kind in ("value", "effect")]
+
+    def there(step: Floats) -> State:
+        return fit.state.moved(frees, fit.state.after(frees, step))
+
+    def loss(step: Floats) -> float:
+        try:
+            left, _ = residuals(there(step), balance)
+        except (ValueError, ArithmeticError):
+            return inf
+        found = total_loss(there(step), fit.frees, left, like)
+        return found if isfinite(found) else inf
+
+    low, high = fit.state.room(frees)
+    crowd = CROWD * (4 + int(3 * log(len(frees))))
+    draw = np.random.default_rng(0)  # of its own: the user's numbers stay what they are
+    options = {
+        "bounds": [low, high],
+        "popsize": crowd,
+        "maxfevals": POINTS * len(frees),
+        "tolfun": TOLERANCE,
+        "randn": lambda *size: draw.standard_normal(size),
+        "seed": nan,
+        "verbose": -9,
+    }
+    search = cma.CMAEvolutionStrategy(np.zeros(len(frees)), REGION, options)
+    while not search.stop():
+        steps = search.ask()
+        search.tell(steps, in_threads(loss, steps, jobs))
+    if not isfinite(search.result.fbest):
+        return fit
+    start = there(search.result.xbest)
+    again = fit_rig(start, balance, like=like, iterations=iterations, jobs=jobs)
+    return min(fit, again, key=lambda one: total_loss(one.state, one.frees, one.left, like))
+
+
 def _family(
     model: RigModel, balance: Balance, link: str
 ) -> tuple[Callable[[Floats], Start], Floats, Floats]:
@@ -100,7 +148,7 @@ def _family(
     stiffness, damping = f"link.{link}.stiffness", f"link.{link}.damping"
     if link in declared:
         near, far = link_sides(model, link)
-        known = model.declared(lambda key: key.endswith(".inertia"))
+        known = model.declared(lambda key: key.endswith((".inertia", stiffness)))
         _, beyond = link_inertias(model.with_values(known), link)
         for kind in ("coulomb", "viscous"):
             if all(_unknown(model, side, kind) for side in (near, far)):
@@ -112,7 +160,7 @@ def _family(
 
     def make(x: Floats) -> Start:
         now = dict(zip(bounds, x.tolist(), strict=True))
-        values = dict(known) if "mode" in now else {}
+        values = dict(known)
         for kind in (k for k in ("coulomb", "viscous") if k in now):
             values |= friction_shared(model, link, kind, now[kind])
         if "mode" in now:

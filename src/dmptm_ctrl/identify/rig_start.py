@@ -8,15 +8,12 @@ import numpy as np
 
 from dmptm_ctrl.identify.free_parameters import scales_of
 from dmptm_ctrl.identify.inverse_dynamics import TAIL, Balance
-from dmptm_ctrl.identify.rig_fit import RigFit, fit_rig, total_loss
+from dmptm_ctrl.identify.rig_fit import fit_rig
 from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import RigModel, link_inertias, link_sides
 
 STIFF = 6  # antiresonances tried for a spring of which nothing is known
-STIFFER = 1.5, 3.0  # times the stiffness that was fitted
-LOOK = 6  # iterations of each such start; the best is fitted to the end
-WIDER = 0.75, 1.3  # times the gap that was fitted
 LOWEST_MODE = 0.03  # of the bandwidth
 HIGHEST_MODE = 1.5
 DAMPING_RATIO = 0.05
@@ -104,44 +101,6 @@ def springs_of(model: RigModel, balance: Balance, link: str) -> list[dict[str, f
         for w in np.geomspace(LOWEST_MODE * top, HIGHEST_MODE * top, STIFF)
     ]
     return [known | values for values in found if values]
-
-
-def from_elsewhere(fit: RigFit, gap: str, *, iterations: int, jobs: int) -> RigFit:
-    """Fit a gap with a hidden far side again, from other sizes, while that fits better.
-
-    The moments at which teeth meet depend on all that came before, so such a fit has many
-    minima. A spring that is too soft is often the nearest: it makes up for the size of the gap.
-    """
-    link, likelihood = gap.partition("@")[2], fit.likelihood
-    links = [k.name for k in fit.model.rig.links]
-    if link not in links or ends_of(fit.model, likelihood.balance, link):
-        return fit
-    stiffness = f"link.{link}.stiffness"
-    declared = fit.model.quantities.get(stiffness)
-    soft = declared is not None and not isfinite(declared.value)
-
-    def beside(one: RigFit) -> float:
-        return total_loss(one.state, one.frees, one.left, likelihood)
-
-    def again(state: State, steps: int) -> RigFit:
-        return fit_rig(state, likelihood.balance, like=likelihood, iterations=steps, jobs=jobs)
-
-    while True:
-        model = fit.model
-        placed = model.effect(gap)
-        half = placed.values["half_gap"]
-        starts = [
-            model.with_effect(placed._replace(values={**placed.values, "half_gap": by * half}))
-            for by in WIDER
-        ]
-        if soft:
-            value = model.value(stiffness)
-            starts += [model.with_values({stiffness: by * value}) for by in STIFFER]
-        tried = (again(State(one, fit.state.logs), LOOK) for one in starts)
-        best = min(tried, key=beside)
-        if beside(best) > beside(fit) - 1.0:
-            return fit
-        fit = again(best.state, iterations)
 
 
 def spring_values(model: RigModel, link: str, spring: Spring) -> dict[str, float]:

@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import welch
+from tests.diagnosis.test_rig_evidence import logs_of
 from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.diagnosis.rig_diagnose import split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.identify.inverse_dynamics import balance_of
+from dmptm_ctrl.identify.inverse_dynamics import balance_of, points_of
 from dmptm_ctrl.identify.measured_motion import rounding_noise
 from dmptm_ctrl.identify.reading_noise import noise_in_balance
 from dmptm_ctrl.identify.rig_fit import fit_rig, residuals
@@ -160,3 +161,16 @@ def test_rounding_makes_more_noise_where_motion_is_slow(speed, white):
         for k in range(8)
     ]
     assert np.mean(told) == pytest.approx(true, rel=0.3)
+
+
+@pytest.mark.parametrize(("noise", "clearer"), [(1e-5, "speed"), (0.05, "position")])
+def test_the_clearer_of_two_sensors_that_reach_as_far(noise, clearer):
+    """Motion up to a tenth of the sample rate; then the noise of the acceleration decides."""
+    machine = Machine(gain=1.0, emf=0.0, j1=2e-4, fc=5e-3, b1=1e-3)
+    sensors = ("position", "speed")
+    bench = Bench(machine, (("multisine", 0.2),), 4.0, 2e-3, noise, 2**16, sensors=sensors)
+    rig = parse_rig(bench.rig(), "rig.toml")
+    logs = logs_of(bench, rig)
+    (point,) = points_of(rig, logs)
+    assert point.sight.bandwidth == pytest.approx(0.1 / 2e-3)
+    assert point.name == clearer

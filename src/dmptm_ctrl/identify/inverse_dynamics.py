@@ -65,6 +65,12 @@ def points_of(rig: Rig, logs: Sequence[Log]) -> tuple[Point, ...]:
     """
     found: list[Point] = []
     reach = {s.name: acceleration_bandwidth(s, logs) for s in rig.sensors}
+
+    def clear(sensor: Sensor) -> tuple[float, float]:
+        """How far a sensor gives acceleration; of two that reach as far, with how little noise."""
+        band, noise = reach[sensor.name]
+        return band, -noise * (2.0 * np.pi * band) ** (4 if sensor.measures == "position" else 2)
+
     for body in rig.bodies:
         groups: list[list[Sensor]] = []
         for sensor in (s for s in rig.sensors if s.body == body.name):
@@ -75,7 +81,7 @@ def points_of(rig: Rig, logs: Sequence[Log]) -> tuple[Point, ...]:
             else:
                 groups.append([sensor])
         for group in groups:
-            best = max(group, key=lambda s: reach[s.name][0])
+            best = max(group, key=clear)
             angle = next((s for s in group if s.measures == "position"), None)
             sight = Sight(best, angle, *reach[best.name])
             found.append(Point(best.name, body.name, sight, tuple(s.name for s in group)))

@@ -10,7 +10,7 @@ from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.diagnosis.rig_diagnose import split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.identify.gap_search import at_start, from_elsewhere, gap_starts
+from dmptm_ctrl.identify.gap_search import at_start, from_elsewhere, gap_start, lowest
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.rig_fit import fit_rig
 from dmptm_ctrl.identify.rig_start import rough_start
@@ -40,35 +40,47 @@ def numbers(model, link="coupling"):
 def test_finds_the_deepest_of_many_minima(hidden, gap, share):
     """A bowl with ripples: a descent from most points ends in one of hundreds of side minima."""
     balance, model = hidden
-    lowest = np.array([np.log(gap), np.log(0.5), np.log(1e-3), share])
+    deepest = np.array([np.log(gap), np.log(0.5), np.log(1e-3), share])
     width = np.array([2.0, 1.0, 1.5, 0.3])
 
     def surprise(there):
-        away = (numbers(there) - lowest) / width
+        away = (numbers(there) - deepest) / width
         return float(np.sum(away**2 + 0.3 * (1.0 - np.cos(9.0 * away))))
 
-    found = [
-        numbers(at_start(model, one)) for one in gap_starts(model, balance, "coupling", surprise)
-    ]
-    assert found
-    away = (found[0] - lowest) / width
+    found = gap_start(model, balance, "coupling", surprise)
+    away = (numbers(at_start(model, found)) - deepest) / width
     assert np.sqrt(np.mean(away**2)) < 0.5
 
 
 def test_all_friction_stays_and_so_do_declared_inertias(hidden):
     balance, model = hidden
     total = model.value("body.motor.coulomb") + model.value("body.load.coulomb") / 10.0
-    for start in gap_starts(model, balance, "coupling", lambda there: 0.0):
-        there = at_start(model, start)
-        now = there.value("body.motor.coulomb") + there.value("body.load.coulomb") / 10.0
-        assert now == pytest.approx(total, rel=1e-12)
-        declared = model.declared(lambda key: key.endswith(".inertia"))
-        assert {k: there.value(k) for k in declared} == pytest.approx(declared)
+    there = at_start(model, gap_start(model, balance, "coupling", lambda there: 0.0))
+    now = there.value("body.motor.coulomb") + there.value("body.load.coulomb") / 10.0
+    assert now == pytest.approx(total, rel=1e-12)
+    declared = model.declared(lambda key: key.endswith(".inertia"))
+    assert {k: there.value(k) for k in declared} == pytest.approx(declared)
 
 
 def test_none_where_no_model_can_be_simulated(hidden):
     balance, model = hidden
-    assert gap_starts(model, balance, "coupling", lambda there: np.inf) == []
+    assert gap_start(model, balance, "coupling", lambda there: np.inf) is None
+
+
+@pytest.mark.parametrize("numbers", [1, 3])
+def test_the_lowest_of_many_minima(numbers):
+    """Rastrigin's function: a descent from any point ends in the nearest of hundreds."""
+    ends = np.full(numbers, -1.0), np.full(numbers, 1.0)
+    before = np.random.get_state()[1].copy()  # noqa: NPY002
+
+    def loss(x):
+        away = 4.0 * (x - 0.4)
+        return float(np.sum(away**2 + 3.0 * (1.0 - np.cos(2.0 * np.pi * away))))
+
+    found = lowest(loss, np.full(numbers, -0.5), ends, 1)
+    assert found == pytest.approx(np.full(numbers, 0.4), abs=0.03)
+    after = np.random.get_state()[1]  # noqa: NPY002
+    np.testing.assert_array_equal(after, before)  # the user's own
 
 
 def test_a_side_minimum_is_left():
@@ -89,10 +101,7 @@ def test_a_side_minimum_is_left():
     base = evidence.base(State(rough_start(RigModel(rig), logs)))
     narrow = base.fit.model.with_effect("backlash", on="coupling", half_gap=0.012)
     near = fit_rig(State(narrow), logs, iterations=30)
-    before = np.random.get_state()[1].copy()  # noqa: NPY002
     found = from_elsewhere(near, iterations=30, jobs=1)
     assert found.loss < near.loss - LEVEL
     assert found.values["backlash@coupling.half_gap"] == pytest.approx(0.022, rel=0.06)
     assert found.values["link.coupling.stiffness"] == pytest.approx(2.65, rel=0.06)
-    after = np.random.get_state()[1]  # noqa: NPY002
-    np.testing.assert_array_equal(after, before)  # the user's own

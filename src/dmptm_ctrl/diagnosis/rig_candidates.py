@@ -24,7 +24,7 @@ from dmptm_ctrl.effects.stribeck_friction import STRIBECK_FRICTION
 from dmptm_ctrl.effects.viscous_friction import VISCOUS_FRICTION
 from dmptm_ctrl.identify.forces import measured_motion
 from dmptm_ctrl.identify.free_parameters import ALL, absolute, on_slide, same_twist, scales_of
-from dmptm_ctrl.identify.gap_search import gap_starts
+from dmptm_ctrl.identify.gap_search import gap_start
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.rig_fit import residuals
 from dmptm_ctrl.identify.rig_start import (
@@ -450,8 +450,8 @@ def _gaps(tangent: Tangent, wanted: Callable[[str], bool]) -> Iterator[Structure
             continue  # through a gap, the driven body's motion does not follow from the other's
         ends = ends_of(model, balance, link) if link in declared else None
         if ends is None:
-            for placed, values in gap_starts(model, balance, link, tangent.surprise):
-                yield [placed], [values], {}
+            if (start := gap_start(model, balance, link, tangent.surprise)) is not None:
+                yield [start[0]], [start[1]], {}
             continue
         if not all(p in m.angles for m in balance.motions for p, _ in ends):
             continue  # an integrated speed drifts by more than a gap

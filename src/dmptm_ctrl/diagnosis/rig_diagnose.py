@@ -34,7 +34,7 @@ from dmptm_ctrl.diagnosis.screen import READ_ROWS
 from dmptm_ctrl.diagnosis.select import Selection, beyond_need, select_effects
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rig import Rig, is_known
-from dmptm_ctrl.identify.gap_search import at_start, gap_starts
+from dmptm_ctrl.identify.gap_search import at_start, gap_start
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.measured_motion import FEWEST_ROWS, STRETCHES
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
@@ -202,9 +202,11 @@ def _started_anew(evidence: RigEvidence, base: RigState, link: str) -> RigState:
     model, surprise = base.fit.model, base.tangent.surprise
     if link not in model.layout.links or not invisible_impacts(model, base.logs):
         return base
-    starts = gap_starts(model, base.logs, link, surprise, jobs=evidence.jobs)
-    again = (State(at_start(model, one), base.fit.state.logs) for one in starts[:1])
-    return min(base, *map(evidence.base, again), key=lambda one: surprise(one.fit.model))
+    start = gap_start(model, base.logs, link, surprise, jobs=evidence.jobs)
+    if start is None:
+        return base
+    again = evidence.base(State(at_start(model, start), base.fit.state.logs))
+    return min(base, again, key=lambda one: surprise(one.fit.model))
 
 
 def predictions(

@@ -1,11 +1,9 @@
 """Gaps before bodies that nothing measures.
 
 When teeth meet depends on all that came before, so the fit of such a gap has many minima, and
-slopes lead to the nearest. Points spread evenly over all that is unknown of the link show where to
-begin; more are spread around the best, ever closer. From there an evolution strategy goes on: it
-looks at a whole region.
-Sources: Sobol' points in a shrinking box, as Masri, Bekey and Safford, Appl. Math. Comput. 7 (1980)
-353, do with random ones; N. Hansen, The CMA evolution strategy, arXiv:1604.00772.
+slopes lead to the nearest. An evolution strategy looks at a whole region: first over all that is
+unknown of the link, then, with all numbers of the model free, around the fit from there.
+Source: N. Hansen, The CMA evolution strategy, arXiv:1604.00772.
 """
 
 from collections.abc import Callable
@@ -13,7 +11,6 @@ from math import exp, inf, isfinite, log, nan, sqrt
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from dmptm_ctrl.drive.rig import is_known
 from dmptm_ctrl.identify.free_parameters import scales_of
@@ -27,31 +24,26 @@ from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import BACKLASH
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel, link_inertias, link_sides
 
-FIRST = 64  # points over all
-KEPT = 4  # around which more are spread
-EACH = 8
-ROUNDS = 6
-NARROWER = 0.6  # side of the box after a round
 GAPS = 1e-5, 3e-2  # half-gaps, of the travel
 DAMPED = 0.02, 1.0  # damping ratios
-REGION = 0.3  # of each number; an evolution strategy looks that far at first
-POINTS = 100  # that it looks at, per number at most
+REGION = 0.3  # of each number, or of its range; that far is looked at first
+POINTS = 100  # that are looked at, per number at most
 CROWD = 2  # times as many in a round as for one valley, as Hansen advises where there are many
 
 Start = tuple[tuple[Placed, ...], dict[str, float]]
 
 
-def gap_starts(
+def gap_start(
     model: RigModel,
     balance: Balance,
     link: str,
     surprise: Callable[[RigModel], float],
     *,
     jobs: int = 1,
-) -> list[Start]:
-    """Return the best gaps with values of what is unknown beside them, best first.
+) -> Start | None:
+    """Return the best gap with values of what is unknown beside it.
 
-    Where the gap of the link is declared, only the values.
+    Where the gap of the link is declared, only the values; None where there is nothing to find.
 
     Without a gap the logs show only the sum of the friction on both sides of a link; through a gap
     it does not pass. A gap that is not in the model makes a spring soft and inertias wrong, so
@@ -63,26 +55,49 @@ def gap_starts(
         −2 log-likelihood of a model, infinite where it has none.
     """
     make, low, high = _family(model, balance, link)
-    if not low.size:
-        return []
-    points = qmc.Sobol(low.size, seed=0)
 
     def surprise_at(x: Floats) -> float:
-        return surprise(at_start(model, make(x)))
+        return surprise(at_start(model, make(low + (high - low) * x)))
 
-    def losses(spread: Floats) -> Floats:
-        return np.array(in_threads(surprise_at, list(spread), jobs))
+    ends = np.zeros_like(low), np.ones_like(low)
+    best = lowest(surprise_at, np.full_like(low, 0.5), ends, jobs) if low.size else None
+    return None if best is None else make(low + (high - low) * best)
 
-    best = low + (high - low) * points.random(FIRST)
-    found, half = losses(best), 0.5 * (high - low)
-    for _ in range(ROUNDS):
-        order = np.argsort(found)[:KEPT]
-        best, found, half = best[order], found[order], NARROWER * half
-        boxes = ((np.maximum(x - half, low), np.minimum(x + half, high)) for x in best)
-        more = np.vstack([lo + (hi - lo) * points.random(EACH) for lo, hi in boxes])
-        best, found = np.vstack([best, more]), np.concatenate([found, losses(more)])
-    order = np.argsort(found)[:KEPT]
-    return [make(best[k]) for k in order if found[k] < inf]
+
+def lowest(
+    loss: Callable[[Floats], float], start: Floats, ends: tuple[Floats, Floats], jobs: int
+) -> Floats | None:
+    """Return the lowest point that an evolution strategy finds; None where none is finite.
+
+    Parameters
+    ----------
+    loss : callable
+        Of a point, (n,); infinite where it has none.
+    start : (n,) array
+    ends : two (n,) arrays
+        Bounds, below and above.
+    """
+    import cma  # not before it is needed: it takes long to import
+
+    own = start.size
+    if own == 1:  # it needs two; the other does nothing
+        start, ends = np.append(start, 0.5), (np.append(ends[0], 0.0), np.append(ends[1], 1.0))
+    draw = np.random.default_rng(0)  # of its own: the user's numbers stay what they are
+    options = {
+        "bounds": [*ends],
+        "popsize": CROWD * (4 + int(3 * log(start.size))),
+        "maxfevals": POINTS * start.size,
+        "tolfun": TOLERANCE,
+        "randn": lambda *size: draw.standard_normal(size),
+        "seed": nan,
+        "verbose": -9,
+    }
+    search = cma.CMAEvolutionStrategy(start, REGION, options)
+    while not search.stop():
+        points = search.ask()
+        search.tell(points, in_threads(loss, [x[:own] for x in points], jobs))
+    found = search.result
+    return found.xbest[:own] if isfinite(found.fbest) else None
 
 
 def at_start(model: RigModel, start: Start) -> RigModel:
@@ -96,8 +111,6 @@ def at_start(model: RigModel, start: Start) -> RigModel:
 
 def from_elsewhere(fit: RigFit, *, iterations: int, jobs: int) -> RigFit:
     """Fit again from the best of many models around; return the better fit."""
-    import cma  # not before it is needed: it takes long to import
-
     balance, like = fit.likelihood.balance, fit.likelihood
     frees = [f for f in fit.frees if f.kind in ("value", "effect")]
 
@@ -112,26 +125,10 @@ def from_elsewhere(fit: RigFit, *, iterations: int, jobs: int) -> RigFit:
         found = total_loss(there(step), fit.frees, left, like)
         return found if isfinite(found) else inf
 
-    low, high = fit.state.room(frees)
-    crowd = CROWD * (4 + int(3 * log(len(frees))))
-    draw = np.random.default_rng(0)  # of its own: the user's numbers stay what they are
-    options = {
-        "bounds": [low, high],
-        "popsize": crowd,
-        "maxfevals": POINTS * len(frees),
-        "tolfun": TOLERANCE,
-        "randn": lambda *size: draw.standard_normal(size),
-        "seed": nan,
-        "verbose": -9,
-    }
-    search = cma.CMAEvolutionStrategy(np.zeros(len(frees)), REGION, options)
-    while not search.stop():
-        steps = search.ask()
-        search.tell(steps, in_threads(loss, steps, jobs))
-    if not isfinite(search.result.fbest):
+    best = lowest(loss, np.zeros(len(frees)), fit.state.room(frees), jobs)
+    if best is None:
         return fit
-    start = there(search.result.xbest)
-    again = fit_rig(start, balance, like=like, iterations=iterations, jobs=jobs)
+    again = fit_rig(there(best), balance, like=like, iterations=iterations, jobs=jobs)
     return min(fit, again, key=lambda one: total_loss(one.state, one.frees, one.left, like))
 
 

@@ -75,7 +75,7 @@ def test_the_lowest_of_many_minima(numbers):
 
     def loss(x):
         away = 4.0 * (x - 0.4)
-        return float(np.sum(away**2 + 3.0 * (1.0 - np.cos(2.0 * np.pi * away))))
+        return float(100.0 * np.sum(away**2 + 3.0 * (1.0 - np.cos(2.0 * np.pi * away))))
 
     found = lowest(loss, np.full(numbers, -0.5), ends, 1)
     assert found == pytest.approx(np.full(numbers, 0.4), abs=0.03)

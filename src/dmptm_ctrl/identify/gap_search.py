@@ -72,7 +72,7 @@ def lowest(
     Parameters
     ----------
     loss : callable
-        Of a point, (n,); infinite where it has none.
+        Of a point, (n,), as −2 log-likelihood; infinite where it has none.
     start : (n,) array
     ends : two (n,) arrays
         Bounds, below and above.
@@ -93,11 +93,14 @@ def lowest(
         "verbose": -9,
     }
     search = cma.CMAEvolutionStrategy(start, REGION, options)
-    while not search.stop():
-        points = search.ask()
-        search.tell(points, in_threads(loss, [x[:own] for x in points], jobs))
-    found = search.result
-    return found.xbest[:own] if isfinite(found.fbest) else None
+    with np.errstate(invalid="ignore"):  # it takes differences of losses, of infinite ones too
+        while not search.stop():
+            points = search.ask()
+            found = np.array(in_threads(loss, [x[:own] for x in points], jobs))
+            # what is too little to count must not decide either, as the last digits would
+            search.tell(points, TOLERANCE * np.round(found / TOLERANCE))
+    best = search.result
+    return best.xbest[:own] if isfinite(best.fbest) else None
 
 
 def at_start(model: RigModel, start: Start) -> RigModel:

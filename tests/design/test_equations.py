@@ -72,5 +72,5 @@ def test_equations_are_the_simulated_loop(more):
 def test_nan_is_refused():
     with pytest.raises(ValueError, match="ki is NaN; it must be"):
         Controller(1.0, np.nan, 10.0)
-    with pytest.raises(ValueError, match="sample_time of the controller is 0 s"):
+    with pytest.raises(ValueError, match="sample_time is 0; it must be more than 0"):
         Controller(1.0, 1.0, 10.0, sample_time=0.0)

@@ -106,7 +106,7 @@ def test_sample_time_replaces_a_time_column(write_csv):
     assert load_log(path, sample_time=4e-4).sample_time == 4e-4
     with pytest.raises(LogError, match="no time column; call it time_s"):
         load_log(path)
-    with pytest.raises(LogError, match="sample time 0 s is not positive"):
+    with pytest.raises(ValueError, match="sample_time is 0; it must be more than 0"):
         load_log(path, sample_time=0)
 
 

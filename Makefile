@@ -7,7 +7,8 @@ BIN := $(VENV)/bin
 
 # Selection of effects, and runs through impacts: what a last bit could decide.
 SENSITIVE := $(addprefix tests/,diagnosis/test_select.py diagnosis/test_dual_evidence.py \
-	recovery/test_impact_chatter.py effects/test_backlash.py agreement/test_stick_slip.py)
+	recovery/test_impact_chatter.py effects/test_backlash.py agreement/test_stick_slip.py \
+	identify/test_gap_search.py)
 # As a processor computes that has no fused and no wide instructions.
 OLDER := NUMBA_CPU_NAME=generic OPENBLAS_CORETYPE=Nehalem
 

@@ -1,5 +1,6 @@
 """Rig files: machines of an independent program, unchanged and changed."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from dmptm_ctrl.identify.rig_fit import fit_rig
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.simulate.model_file import model_text
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 MACHINE = Machine(fc=0.02, fs=0.02, cog=0.01, order=7.0, b1=4e-4)
@@ -123,6 +125,17 @@ def test_runs_that_show_more_of_the_noise_are_no_change(model):
     floor, band = evidence_of(own, slow).torque_rms, balance_of(rig, slow).bandwidth
     assert not check(own, fast, floor=floor).same  # the premise
     assert check(own, fast, floor=floor, bandwidth=band).same
+
+
+def test_a_bandwidth_goes_before_the_recorded_one(model, tmp_path):
+    rig, logs = logs_of(BENCH.with_(sensors=("position",)), 3)
+    path = tmp_path / "model.toml"
+    path.write_text(model_text(replace(model, rig=rig)), encoding="utf-8")
+    torque = {"rmse": 0.1, "bandwidth_hz": 5.0}
+    recorded = json.dumps({"error": {"after": {"torque": torque}}})
+    path.with_name("diagnosis.json").write_text(recorded, encoding="utf-8")
+    found = [check(path, logs, bandwidth=band).torque_rms for band in (None, 5.0, 10.0)]
+    assert found[0] == found[1] != found[2]
 
 
 @pytest.fixture(scope="module")

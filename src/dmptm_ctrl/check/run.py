@@ -157,7 +157,8 @@ def check(
         recorded = _recorded(path.with_name("diagnosis.json"))
         errors = {**_errors(recorded), **(errors or {})}
         if floor is None:
-            floor, bandwidth = _floor(recorded)
+            floor, band = _floor(recorded)
+            bandwidth = band if bandwidth is None else bandwidth
         model = read_model(path)
     loaded, notes = _loaded(model, logs)
     notes += [f"{log.name}: {text}" for log in loaded for text in log.warnings]

@@ -28,7 +28,7 @@ from dmptm_ctrl.simulate.model import Floats, Model
 LEAD_HZ = 0.05  # slow lead of simulated runs by the measured angle: bounds drift only
 ECCENTRIC = ENCODER_ECCENTRICITY.name
 SEEN = 1.0  # evidence of a scale of an unknown, below which the balances do not see it
-ROUNDS = 3  # fits without motor encoders: each says better which touch, for the next
+ROUNDS = 3  # fits without motor encoders: each shows better which touch, for the next
 SETTLED = 5.0  # fall of the loss by derivatives taken anew, below which they are not again
 
 

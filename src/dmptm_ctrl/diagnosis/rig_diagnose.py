@@ -181,7 +181,7 @@ def _no_gap(model: RigModel) -> Iterator[str]:
 def _fitted(
     model: RigModel, balance: Balance, read: Sequence[Log], jobs: int
 ) -> tuple[Balance, RigEvidence, RigState]:
-    """Fit the declared model; each fit says better when teeth touch."""
+    """Fit the declared model; each fit knows better when teeth touch."""
     logs, held, _, _ = split(model.rig, balance)
     start = rough_start(model, logs)
     if any(balance.bursts):

@@ -61,7 +61,7 @@ class RigEvidence:
     """Torque balances of the logs of a drive of any shape, or stretches of them.
 
     `logs` are fitted and `held` are not, as the declared model has them. `read` are the same as
-    read, on which a better model says anew when teeth touch. Nothing depends on `jobs`.
+    read, on which a better model shows anew when teeth touch. Nothing depends on `jobs`.
     """
 
     logs: Balance
@@ -304,7 +304,7 @@ class RigEvidence:
         return fit
 
     def closed(self, state: RigState) -> RigState:
-        """Let a model say anew when hidden teeth touch, and fit again."""
+        """Let a model show anew when hidden teeth touch, and fit again."""
         if self.read and state.logs.closed:
             both = (touching(one, state.fit.model, self.read) for one in (state.logs, state.held))
             state = self.refit(state, *both)

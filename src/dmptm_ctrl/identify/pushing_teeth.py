@@ -21,14 +21,14 @@ SWINGS = 2.0  # periods of the bandwidth, over which it is looked at how far tee
 
 
 def in_contact(balance: Balance, model: RigModel, logs: Sequence[Log]) -> Balance:
-    """Tell when teeth touch, by a model on the logs."""
+    """Mark when teeth touch, by a model on the logs."""
     return pushing(touching(centred(balance, model), model, logs), model, logs)
 
 
 def centred(balance: Balance, model: RigModel) -> Balance:
     """Count twists from the middle of their gaps: encoders start anywhere.
 
-    Where a log holds one flank alone, the torque says which.
+    Where a log holds one flank alone, the torque shows which.
     """
     motions = list(balance.motions)
     for name in balance.teeth:
@@ -55,7 +55,7 @@ def centred(balance: Balance, model: RigModel) -> Balance:
 def pushing(balance: Balance, model: RigModel, logs: Iterable[Log]) -> Balance:
     """Tell on which flank teeth push, and when they do not: bouncing, or just after an impact.
 
-    The torque that the balance of one side asks of them says the flank: errors of teeth may be
+    The torque that the balance of one side asks of them shows the flank: errors of teeth may be
     as large as the gap. They bounce where they swing by more than that torque winds them up.
     """
     if not balance.teeth:

@@ -134,7 +134,7 @@ def _stretches(parts: Sequence[tuple[int, float]]) -> NDArray[np.int64]:
 
 
 def _shows(unknown: Unknown, records: Sequence[Record]) -> bool:
-    """Whether a log can identify it; where a motor is in its gap, no ring gear's sensor says."""
+    """Whether a log can identify it; no sensor of the ring gear shows a motor inside its gap."""
     turns = unknown.effect is not None and "theta_m" in CATALOGUE[unknown.effect].depends_on
     return not turns or all(rec.twist is not None for rec in records)
 
@@ -171,10 +171,8 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int, bandwidth: float | 
     wrong = [e for e in model.effects if e.on in sensors]
     logs = [put_right(model.rig, log, wrong) for log in logs]
     model = model.without([e.key for e in wrong])
-    balance = balance_of(model.rig, logs)
-    if bandwidth is not None and bandwidth < balance.bandwidth:
-        balance = balance_of(model.rig, logs, bandwidth=bandwidth)
-    balance = in_contact(balance, model, logs)
+    most = inf if bandwidth is None else bandwidth
+    balance = in_contact(balance_of(model.rig, logs, most=most), model, logs)
     model = replace(model, closed=balance.closed)
     of_logs = [log_parameters(model, balance, m.name, "") for m in balance.motions]
     state = _zeroed(State(model), balance, of_logs)

@@ -135,7 +135,7 @@ def sizes(parameters: Mapping[str, Mapping[str, Any]]) -> str:
     texts = [
         f"{words(k)} {number(p['value'])} {p['unit']}".rstrip()
         for k, p in parameters.items()
-        if not k.endswith(("cosine", "sine"))
+        if not k.endswith("sine")  # a wave's cosine and sine
     ]
     return ", ".join(texts[:SHOWN]) + (", …" if len(texts) > SHOWN else "")
 

@@ -121,11 +121,12 @@ def from_elsewhere(fit: RigFit, *, iterations: int, jobs: int) -> RigFit:
         return fit.state.moved(frees, fit.state.after(frees, step))
 
     def loss(step: Floats) -> float:
+        one = there(step)
         try:
-            left, _ = residuals(there(step), balance)
+            left, _ = residuals(one, balance)
         except (ValueError, ArithmeticError):
             return inf
-        found = total_loss(there(step), fit.frees, left, like)
+        found = total_loss(one, fit.frees, left, like)
         return found if isfinite(found) else inf
 
     best = lowest(loss, np.zeros(len(frees)), fit.state.room(frees), jobs)

@@ -12,7 +12,7 @@ from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
-from math import isfinite
+from math import inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from dmptm_ctrl.identify.measured_motion import (
     Sight,
     acceleration_bandwidth,
     coordinates_of,
+    order_of,
     prepare,
 )
 from dmptm_ctrl.identify.reading_noise import spectrum
@@ -69,7 +70,7 @@ def points_of(rig: Rig, logs: Sequence[Log]) -> tuple[Point, ...]:
     def clear(sensor: Sensor) -> tuple[float, float]:
         """How far a sensor gives acceleration; of two that reach as far, with how little noise."""
         band, noise = reach[sensor.name]
-        return band, -noise * (2.0 * np.pi * band) ** (4 if sensor.measures == "position" else 2)
+        return band, -noise * (2.0 * np.pi * band) ** (2 * order_of(sensor))
 
     for body in rig.bodies:
         groups: list[list[Sensor]] = []
@@ -216,15 +217,17 @@ class Balance:
         return replace(self, motions=tuple(chain.from_iterable(pieces)), known={}, noises={})
 
 
-def balance_of(rig: Rig, logs: Sequence[Log], *, bandwidth: float | None = None) -> Balance:
-    """Filter logs into motions, at the bandwidth that the poorest point allows.
+def balance_of(
+    rig: Rig, logs: Sequence[Log], *, bandwidth: float | None = None, most: float = inf
+) -> Balance:
+    """Filter logs into motions, at the bandwidth that the poorest point allows, and `most` [Hz].
 
-    And up to which hidden bodies follow the measured ones.
+    And up to which hidden bodies follow the measured ones. A given `bandwidth` is taken as it is.
     """
     points = points_of(rig, logs)
     closed, follows = followed(rig, (p.name for p in points))
     if bandwidth is None:
-        bandwidth = min(follows, *(p.sight.bandwidth for p in points))
+        bandwidth = min(follows, most, *(p.sight.bandwidth for p in points))
     sights = {p.name: p.sight for p in points}
     motions = tuple(prepare(log, rig, sights, bandwidth) for log in logs)
     return Balance(rig, points, bandwidth, motions, closed, toothed(rig, points))

@@ -305,6 +305,11 @@ def _long_runs(flag: NDArray[np.bool_], shortest: float) -> Floats:
     return out
 
 
+def order_of(sensor: Sensor) -> int:
+    """How many times its readings are differentiated to accelerations."""
+    return 2 if sensor.measures == "position" else 1
+
+
 def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> tuple[float, float]:
     """Frequency up to which a sensor gives acceleration with little noise [Hz]; its noise.
 
@@ -312,7 +317,7 @@ def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> tuple[float, 
     quietest log shows), but not below what the declared resolution and noise give. What
     rounding makes at low frequencies is not white: none at rest, and more where motion is slow.
     """
-    order = 2 if sensor.measures == "position" else 1
+    order = order_of(sensor)
     reach, floors = [], []
     for log in logs:
         y, rate = log[sensor.channel], 1.0 / log.sample_time

@@ -13,9 +13,10 @@ from dmptm_ctrl.identify.forces import forces_of
 from dmptm_ctrl.identify.free_parameters import free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import balance_of, residual
 from dmptm_ctrl.identify.measured_motion import reading_variance
-from dmptm_ctrl.identify.pushing_teeth import centred, pushing
+from dmptm_ctrl.identify.pushing_teeth import centred, in_contact, pushing
 from dmptm_ctrl.identify.rig_fit import fit_rig
 from dmptm_ctrl.identify.rig_simulate import initial
+from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
@@ -219,3 +220,87 @@ body = "gear"
     soft = model.with_values({"link.spring.stiffness": 5.0})
     worse, _ = residual(soft, balance, motion)
     assert np.std(worse[0][counted[0]]) > 3.0 * np.std(left[0][counted[0]])
+
+
+JOINT = """
+name = "joint"
+[body.motor]
+inertia = "1.4e-4 kg m^2 ± 20 %"
+viscous = "8e-4 N m s/rad ± 30 %"
+coulomb = "6.5e-3 N m ± 30 %"
+[body.table]
+inertia = "0.165 kg m^2 ± 20 %"
+viscous = "unknown"
+[shaft.gear]
+between = ["motor", "table"]
+ratio = 35
+stiffness = "unknown"
+damping = "unknown"
+half_gap = "0.02 rad ± 50 %"
+[input.drive]
+column = "u"
+unit = "N m"
+body = "motor"
+gain = 1.0
+[sensor.motor]
+column = "q"
+unit = "rad"
+body = "motor"
+resolution = "1.53398e-3 rad"
+absolute = true
+[sensor.table]
+column = "p"
+unit = "rad"
+body = "table"
+resolution = "9.6e-5 rad"
+absolute = true
+"""
+SIZES = {
+    "body.motor.inertia": 1.43e-4, "body.table.inertia": 0.16, "body.table.viscous": 0.44,
+    "link.gear.stiffness": 10.0, "link.gear.damping": 3e-3, "link.gear.half_gap": 0.0194,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def joint():
+    """A geared joint with a coarse encoder on its motor: a count is 8 % of the half-gap."""
+    return parse_rig(JOINT)
+
+
+def joint_log(model: RigModel, name: str, wave: np.ndarray) -> Log:
+    run = march(model, 0.04 * wave[None], DT)
+    counts = {"motor": 1.53398e-3, "table": 9.6e-5}
+    read = {f"out_{k}": c * np.round(run.reading(k) / c) for k, c in counts.items()}
+    return Log(name, DT * np.arange(wave.size), {"in_drive": 0.04 * wave, **read})
+
+
+def joint_fit(rig, effects):
+    """The declared model with effects, fitted to logs of the true one, and the true sizes."""
+    true = RigModel(rig, effects=effects).with_values(SIZES)
+    time = DT * np.arange(8000)
+    ramp = np.abs(2.0 * ((0.4 * time) % 1.0) - 1.0) * 2.0 - 1.0
+    waves = {"steps": np.sign(np.sin(np.pi * time)), "trap": np.clip(2.0 * ramp, -0.8, 0.8)}
+    waves["chirp"] = np.sin(2 * np.pi * (0.3 + 0.25 * time) * time)
+    logs = [joint_log(true, *one) for one in waves.items()]
+    balance = balance_of(rig, logs)
+    assert balance.teeth == {"gear": 1}
+    start = rough_start(RigModel(rig), balance)
+    for _ in range(2):
+        balance = in_contact(balance, start, logs)
+        start = fit_rig(State(start), balance).model
+    return fit_rig(State(replace(start, effects=effects)), balance, iterations=20)
+
+
+def test_a_count_as_large_as_the_wind_up_leaves_an_unknown_stiffness(joint):
+    fit = joint_fit(joint, ())
+    assert fit.values["link.gear.half_gap"] == pytest.approx(0.0194, rel=0.01)
+    assert fit.values["link.gear.stiffness"] == pytest.approx(10.0, rel=0.15)
+    for key in ("body.motor.inertia", "body.table.inertia"):
+        assert fit.values[key] == pytest.approx(SIZES[key], rel=0.03)
+
+
+def test_friction_does_not_follow_the_noise_of_a_load(joint):
+    rubs = Placed("load_dependent_friction", "motor", {"coefficient": 0.16})
+    fit = joint_fit(joint, (rubs,))
+    key = "load_dependent_friction@motor.coefficient"
+    assert fit.values[key] == pytest.approx(0.16, rel=0.05)

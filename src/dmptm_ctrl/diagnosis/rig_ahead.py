@@ -36,7 +36,7 @@ ROUNDS = 12  # Gauss–Newton steps at most; derivatives are taken anew where th
 STEPS = 1e-4, 0.1  # difference steps are standard errors, but no less and no more scales
 # Damping ratios of a link that are tried. Noise of its twist hides the damping from the balance;
 # in runs it rings by it, and small steps from one that bounces lead nowhere.
-DAMPED = 0.01, 0.03, 0.1, 0.3, 1.0
+DAMPED = tuple(np.geomspace(0.01, 1.0, 13).tolist())
 
 
 @dataclass(frozen=True, eq=False)

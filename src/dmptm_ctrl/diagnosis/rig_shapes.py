@@ -109,7 +109,7 @@ def _in_equations(fit: RigFit, balance: Balance, body: str, column: Floats) -> F
     out[0] = column
     for name, k in balance.teeth.items():
         stiffness = model.value(f"link.{name}.stiffness")
-        out[k] = in_twist(model, name, 0.0, 0.0, through[name], stiffness)
+        out[k] = in_twist(model, balance, name, 0.0, 0.0, through[name], stiffness)
     seen = balance.seen(layout)
     for k, g in enumerate(seen):
         if k > 0 and g not in seen[:k] and k not in balance.teeth.values():

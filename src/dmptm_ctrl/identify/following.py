@@ -103,7 +103,7 @@ def loads_of(
     pushed: Mapping[str, Floats],
     braked: Callable[[str], Floats],
 ) -> dict[str, Floats]:
-    """What followed links put on their bodies, by what the hidden bodies beyond them take.
+    """Torque of followed links at their first bodies, by what the hidden bodies beyond take.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def loads_of(
     found: dict[str, Floats] = {}
     seen = {layout.sensor_body[s.name] for s in model.rig.sensors}
     for name in sorted(model.closed):
-        link, ratio = model.rig.link(name), model.value(f"link.{name}.ratio")
+        ratio = model.value(f"link.{name}.ratio")
         near, far = link_sides(model, name)
         side, lever = (far, ratio) if seen & {*near} else (near, 1.0)
         torque = np.zeros(1)
@@ -125,6 +125,5 @@ def loads_of(
             a = layout.ratio[body] * measured[layout.coordinate[body]][2]
             takes = model.value(f"body.{body}.inertia") * a + braked(body)
             torque = torque + r / lever * (takes - pushed.get(body, 0.0))
-        for end, factor in ((link.first, 1.0), (link.second, ratio)):
-            found[end] = found.get(end, np.zeros(1)) + np.abs(factor * torque)
+        found[name] = torque
     return found

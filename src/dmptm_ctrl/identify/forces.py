@@ -90,19 +90,23 @@ def forces_of(
         body = layout.input_body[name]
         volts[body] = effective_input(model, motion, name)
         pushes.append((body, plant.input_values[j, 0] * volts[body]))
-    ends = {n: plant.link_body[k].tolist() for k, n in enumerate(layout.links)}
-    ratios = dict(zip(layout.links, plant.link_values[:, 0].tolist(), strict=True))
+    ends = {k: (model.rig.link(k).first, model.rig.link(k).second) for k in model.closed}
+    for k, name in enumerate(layout.links):
+        first, second = plant.link_body[k].tolist()
+        ends[name] = layout.bodies[first], layout.bodies[second]
+    ratios = {name: model.value(f"link.{name}.ratio") for name in model.closed}
+    ratios |= zip(layout.links, plant.link_values[:, 0].tolist(), strict=True)
 
-    def on_bodies(torques: Mapping[str, Floats]) -> dict[str, Floats]:
+    def on_bodies(sizes: Mapping[str, Floats]) -> dict[str, Floats]:
         load = dict(zeros)
-        for name, torque in torques.items():
-            for end, factor in zip(ends[name], (1.0, ratios[name]), strict=True):
-                body = layout.bodies[end]
-                load[body] = load[body] + np.abs(factor * torque)
+        for name, size in sizes.items():
+            for body, factor in zip(ends[name], (1.0, ratios[name]), strict=True):
+                load[body] = load[body] + abs(factor) * size
         return load
 
     weighs = loaded(model)
-    load = on_bodies(runs) if weighs else zeros
+    sizes = {name: np.abs(torque) for name, torque in runs.items()}
+    load = on_bodies(sizes) if weighs else zeros
 
     def braked(body: str) -> Floats:
         group = layout.coordinate[body]
@@ -111,7 +115,8 @@ def forces_of(
         return (rubs + other) / layout.ratio[body]
 
     for _ in range(LOADED if model.closed and weighs else 0):
-        load |= loads_of(model, measured, dict(pushes), braked)
+        loads = loads_of(model, measured, dict(pushes), braked)
+        load |= on_bodies({name: _size(motion, torque) for name, torque in loads.items()})
     own = {group: np.zeros_like(v) for group, (_, v, _) in measured.items()}
     for body, torque in pushes:
         if (group := layout.coordinate[body]) in own:
@@ -127,9 +132,15 @@ def forces_of(
                 friction = _at_rest(friction, rest, v, motion.rest_share)
             left[group] = rest - friction
         through = carried(model, twists, left)
-        load = on_bodies(runs | through) if weighs else zeros
+        if weighs:
+            load = on_bodies(sizes | {n: _size(motion, torque) for n, torque in through.items()})
     need = {group: own[group] - left[group] for group in own}
     return Forces(measured, own, need, put_through(model, left, through), through, twists)
+
+
+def _size(motion: Motion, torque: Floats) -> Floats:
+    """Size of a torque that the balance shows: noise has one too, and must not add to it."""
+    return np.asarray(torque * np.sign(motion.smooth(torque)))
 
 
 def measured_motion(

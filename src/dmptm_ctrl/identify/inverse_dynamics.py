@@ -267,9 +267,8 @@ def residual(
         group, r = seen[k], layout.ratio[layout.sensor_body[point.name]]
         if k in teeth:
             name = teeth[k]
-            equations.append(
-                missing(model, name, motion, forces.twists[name], forces.carried[name])
-            )
+            twist, torque = forces.twists[name], forces.carried[name]
+            equations.append(missing(model, balance, name, motion, twist, torque))
         elif group in seen[:k]:
             # rigidly tied to a point before it: as fast, whatever moves them
             apart = motion.a[point.name] / r - measured[group][2]

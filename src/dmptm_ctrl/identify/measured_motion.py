@@ -138,6 +138,14 @@ class Motion:
         first = (self.taps.size - 1) // down
         return upfirdn(self.taps, sums, down=down)[first : first + count]
 
+    def smooth(self, signal: Floats) -> Floats:
+        """Low-pass a signal at the bandwidth of the balance, at all samples."""
+        return np.asarray(sosfiltfilt(self._low_pass, signal))
+
+    @cached_property
+    def _low_pass(self) -> Floats:
+        return np.asarray(butter(4, self.bandwidth, fs=1.0 / self.dt, output="sos"))
+
     def response(self, omega: Floats) -> Floats:
         """Gain of `reduce` at angular frequencies [rad/s], as far as the filter goes."""
         if self.step == 1:

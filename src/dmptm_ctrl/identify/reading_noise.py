@@ -7,7 +7,8 @@ estimates the mean square without noise (Fuller, Measurement Error Models, 1987,
 Nakamura, Biometrika 77 (1990) 127).
 """
 
-from collections.abc import Iterable
+from collections.abc import Mapping
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from dmptm_ctrl.identify.measured_motion import coordinates_of, recent
 from dmptm_ctrl.identify.teeth import carried, in_twist
 from dmptm_ctrl.simulate.model import Floats
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import Plant, link_matrices, untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
 
@@ -38,7 +40,7 @@ def noise_in_balance(model: RigModel, balance: "Balance") -> list[Floats]:
     """
     plant = model.plant()
     numbers = plant.inertia, plant.link_values, plant.law[:, 3], plant.law[:, 7]
-    shape = model.layout.bodies, model.layout.links, plant.link_gap.tobytes()
+    shape = model.layout.bodies, model.layout.links, plant.link_gap.tobytes(), *_rubbing(model)
     key = shape, *(np.ascontiguousarray(x).tobytes() for x in numbers)
     found: list[Floats] = recent(balance.noises, key, lambda: _noise(model, plant, balance), RECENT)
     return found
@@ -56,11 +58,11 @@ def _noise(model: RigModel, plant: Plant, balance: "Balance") -> list[Floats]:
         share = _contact(model, plant, rows, balance)
         ways = [(share, np.ones(gaps.size)), (1.0 - share, np.where(gaps, 0.0, 1.0))]
     parts = []
-    for share, touching in ways:
+    for (share, touching), (half, sign) in product(ways, _driving(model, balance)):
         need = np.eye(plant.inertia.size) * motion[:, None]
         need = need + (rows.T * (pull * touching)[:, None]) @ rows
-        found = _equations(model, plant, rows, need, balance, s)
-        parts.append([np.sqrt(share) * size * equation for equation in found])
+        found = _equations(model, plant, rows, need, balance, s, sign)
+        parts.append([np.sqrt(share * half) * size * equation for equation in found])
     both = [np.concatenate(each) for each in zip(*parts, strict=True)]
     return [np.concatenate([part.real.ravel(), part.imag.ravel()]) for part in both]
 
@@ -84,6 +86,25 @@ def _contact(model: RigModel, plant: Plant, rows: Floats, balance: "Balance") ->
     return float(np.mean(shares))
 
 
+def _rubbing(model: RigModel) -> list[tuple[str, float]]:
+    """Bodies whose friction follows a load, and by what share of it."""
+    return [
+        (e.on, e.values[chain.amplitudes[0]])
+        for e in model.effects
+        if "mesh_torque" in (chain := PLACED_CATALOGUE[e.name]).effect.depends_on
+    ]
+
+
+def _driving(model: RigModel, balance: "Balance") -> list[tuple[float, float]]:
+    """Shares of the time in which friction under load has the sign of the load, or the other."""
+    if not balance.teeth or not _rubbing(model):
+        return [(1.0, 0.0)]
+    name, first = next(iter(balance.teeth)), balance.points[0].name
+    signs = [np.sign(m.v[first]) * m.flank[name] for m in balance.motions if name in m.flank]
+    mean = float(np.mean(np.concatenate(signs))) if signs else 0.0
+    return [(0.5 * (1.0 + mean), 1.0), (0.5 * (1.0 - mean), -1.0)]
+
+
 def spectrum(balance: "Balance") -> tuple[Complex, Floats]:
     """Return s = jω, and the noise of each point's position around each ω, (ω, points)."""
     longest = max(m.dt * m.time.size for m in balance.motions)
@@ -100,12 +121,18 @@ def spectrum(balance: "Balance") -> tuple[Complex, Floats]:
 
 
 def _equations(
-    model: RigModel, plant: Plant, rows: Floats, need: Complex, balance: "Balance", s: Complex
+    model: RigModel,
+    plant: Plant,
+    rows: Floats,
+    need: Complex,
+    balance: "Balance",
+    s: Complex,
+    sign: float,
 ) -> list[Complex]:
     """Factors of the points' positions, (ω, points), as in :func:`.inverse_dynamics.residual`.
 
     `rows` are the twists of links over the coordinates, `need` is the torque of each coordinate
-    per position, (ω, coordinates, coordinates).
+    per position, (ω, coordinates, coordinates), `sign` that of friction under load.
     """
     layout = model.layout
     bodies = [layout.sensor_body[p.name] for p in balance.points]
@@ -124,10 +151,19 @@ def _equations(
         known = need[:, equations_used] @ position
         position[:, hidden] = -np.linalg.solve(need[:, equations_used][..., hidden], known)
     torque = need @ position
+    takes = plant.inertia * s[:, None] ** 2
+    own = {g: -takes[:, g, None] * position[:, g] for g in range(plant.inertia.size)}
+    for body, coefficient in _rubbing(model):
+        g = layout.coordinate[body]
+        for name, load in carried(model, balance.teeth, own).items():
+            link = model.rig.link(name)
+            share = {link.first: 1.0, link.second: model.value(f"link.{name}.ratio")}
+            rubs = sign * coefficient * layout.ratio[body] * abs(share.get(body, 0.0)) * load
+            own[g], torque[:, g] = own[g] - rubs, torque[:, g] + rubs
     reach = untwisted(plant)
     counted = [*first, 0] if equations_used != hidden else [*first]
     found = [np.einsum("g,wgp->wp", reach[counted], torque[:, counted])]
-    through = _through_teeth(model, rows, position, s, balance.teeth)
+    through = _through_teeth(model, rows, position, own, s, balance)
     for k, g in enumerate(seen[1:], 1):
         if k in balance.link_of:
             found.append(through[balance.link_of[k]])
@@ -139,18 +175,20 @@ def _equations(
 
 
 def _through_teeth(
-    model: RigModel, rows: Floats, position: Complex, s: Complex, teeth: Iterable[str]
+    model: RigModel,
+    rows: Floats,
+    position: Complex,
+    left: Mapping[int, Complex],
+    s: Complex,
+    balance: "Balance",
 ) -> dict[str, Complex]:
-    """The same of toothed links, in contact."""
+    """The same of toothed links, in contact, by what coordinates leave."""
     plant, found = model.plant(), {}
-    takes = plant.inertia * s[:, None] ** 2
-    for name in teeth:
+    for name, torque in carried(model, balance.teeth, left).items():
         k = model.layout.links.index(name)
-        own = {g: -takes[:, g, None] * position[:, g] for g in range(plant.inertia.size)}
-        torque = carried(model, [name], own)[name]
         twist = np.einsum("g,wgp->wp", rows[k], position)
         with np.errstate(divide="ignore", invalid="ignore"):  # a trial without a spring
             found[name] = in_twist(
-                model, name, twist, s[:, None] * twist, torque, plant.link_values[k, 1]
+                model, balance, name, twist, s[:, None] * twist, torque, plant.link_values[k, 1]
             )
     return found

@@ -77,7 +77,9 @@ def _springs(model: RigModel, balance: Balance) -> RigModel:
             continue
         ends = ends_of(model, balance, link.name)
         if ends is not None:
-            spring = regress(balance, *ends)
+            gap = link.half_gap
+            known = gap.value if gap is not None and isfinite(gap.value) else 0.0
+            spring = regress(balance, *ends, known)
             inertias = unknown_inertias(model, link.name, spring)
             model = model.with_values({**inertias, **spring_values(model, link.name, spring)})
             continue
@@ -157,14 +159,7 @@ def regress_gaps(
 
     As `regress`, with a2 = ω_a² (z − clip(z, ±Δ)) + 2 ζ ω_a ż in contact + …
     """
-    twist: dict[str, list[Floats]] = {}
-    for m in balance.motions:
-        twist.setdefault(m.name, []).append(near[1] * m.q[near[0]] - far[1] * m.q[far[0]])
-    zero, reach = {}, 0.0
-    for log, parts in twist.items():
-        z = np.concatenate(parts)
-        low, high = np.quantile(z, [TAIL, 1.0 - TAIL])
-        zero[log], reach = float(0.5 * (low + high)), max(reach, float(0.5 * (high - low)))
+    zero, reach = _middle(balance, near, far)
     tried = [
         (*_regress(balance, near, far, share * reach, zero), share * reach)
         for share in (0.0, *GAP_SHARES)
@@ -173,13 +168,30 @@ def regress_gaps(
     return [Gap(half_gap, spring, zero) for _, spring, half_gap in tried[:most]]
 
 
-def regress(balance: Balance, near: tuple[str, float], far: tuple[str, float]) -> Spring:
+def regress(
+    balance: Balance, near: tuple[str, float], far: tuple[str, float], half_gap: float = 0.0
+) -> Spring:
     """Find a spring between two measured points by two linear regressions.
 
     a2 = ω_a² z + 2 ζ ω_a ż + friction + const and F = J1 a1 + J2 a2 + friction + const. Of each
-    point its name and the factor of its motion.
+    point its name and the factor of its motion. A gap lies in the middle of all twists.
     """
-    return _regress(balance, near, far, 0.0, {})[1]
+    zero = _middle(balance, near, far)[0] if half_gap else {}
+    return _regress(balance, near, far, half_gap, zero)[1]
+
+
+def _middle(
+    balance: Balance, near: tuple[str, float], far: tuple[str, float]
+) -> tuple[dict[str, float], float]:
+    """Middle of the twists of each log, and half of their widest range."""
+    twist: dict[str, list[Floats]] = {}
+    for m in balance.motions:
+        twist.setdefault(m.name, []).append(near[1] * m.q[near[0]] - far[1] * m.q[far[0]])
+    zero, reach = {}, 0.0
+    for log, parts in twist.items():
+        low, high = np.quantile(np.concatenate(parts), [TAIL, 1.0 - TAIL])
+        zero[log], reach = float(0.5 * (low + high)), max(reach, float(0.5 * (high - low)))
+    return zero, reach
 
 
 def _regress(

@@ -27,7 +27,7 @@ from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 if TYPE_CHECKING:
-    from dmptm_ctrl.identify.inverse_dynamics import Point
+    from dmptm_ctrl.identify.inverse_dynamics import Balance, Point
 
 
 def toothed(rig: Rig, points: tuple["Point", ...]) -> dict[str, int]:
@@ -52,8 +52,8 @@ def toothed(rig: Rig, points: tuple["Point", ...]) -> dict[str, int]:
 
 
 def _declared(link: Link) -> bool:
-    known = link.half_gap, link.stiffness
-    return all(q is not None and isfinite(q.value) and q.value > 0 for q in known)
+    gap = link.half_gap
+    return gap is not None and isfinite(gap.value) and gap.value > 0
 
 
 def side_of(model: RigModel, link: str) -> tuple[list[int], float]:
@@ -124,6 +124,7 @@ def twist_of(
 
 def missing(
     model: RigModel,
+    balance: "Balance",
     name: str,
     motion: Motion,
     twist: tuple[Floats, Floats, Floats, Floats],
@@ -132,18 +133,29 @@ def missing(
     """Twist that a model does not explain, as a torque at the first coordinate, (n,)."""
     z, rate, gap, stiffness = twist
     wound = z - gap * motion.flank.get(name, np.sign(z))
-    return np.asarray(in_twist(model, name, wound, rate, torque, stiffness))
+    return np.asarray(in_twist(model, balance, name, wound, rate, torque, stiffness))
 
 
-def in_twist(model: RigModel, name: str, wound: Any, rate: Any, torque: Any, stiffness: Any) -> Any:
+def in_twist(
+    model: RigModel,
+    balance: "Balance",
+    name: str,
+    wound: Any,
+    rate: Any,
+    torque: Any,
+    stiffness: Any,
+) -> Any:
     """Twist beyond what a torque winds a link up by, as a torque at the first coordinate.
 
-    Times the declared stiffness: the fitted one would make its own noise small.
+    Times the declared stiffness: the fitted one would make its own noise small. Where that is
+    unknown, times one that would let the drive ring at the bandwidth.
     """
     damping = model.plant().link_values[model.layout.links.index(name), 2]
-    declared = model.quantity(f"link.{name}.stiffness").value
+    lever, declared = lever_of(model, name), model.quantity(f"link.{name}.stiffness").value
+    if not isfinite(declared):
+        declared = balance.heft * (2.0 * np.pi * balance.bandwidth / lever) ** 2
     more = wound + (damping * rate - torque) / stiffness
-    return lever_of(model, name) * declared * more
+    return lever * declared * more
 
 
 def lever_of(model: RigModel, name: str) -> float:

@@ -14,7 +14,8 @@ from dmptm_ctrl.identify.free_parameters import free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import balance_of, residual
 from dmptm_ctrl.identify.measured_motion import reading_variance
 from dmptm_ctrl.identify.pushing_teeth import centred, in_contact, pushing
-from dmptm_ctrl.identify.rig_fit import fit_rig
+from dmptm_ctrl.identify.reading_noise import noise_in_balance
+from dmptm_ctrl.identify.rig_fit import fit_rig, residuals
 from dmptm_ctrl.identify.rig_simulate import initial
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.identify.state import State
@@ -274,13 +275,13 @@ def joint_log(model: RigModel, name: str, wave: np.ndarray) -> Log:
     return Log(name, DT * np.arange(wave.size), {"in_drive": 0.04 * wave, **read})
 
 
-def joint_fit(rig, effects):
-    """The declared model with effects, fitted to logs of the true one, and the true sizes."""
+def joint_logs(rig, effects):
+    """Logs of the true joint, and their balance with teeth in contact by the declared model."""
     true = RigModel(rig, effects=effects).with_values(SIZES)
     time = DT * np.arange(8000)
     ramp = np.abs(2.0 * ((0.4 * time) % 1.0) - 1.0) * 2.0 - 1.0
     waves = {"steps": np.sign(np.sin(np.pi * time)), "trap": np.clip(2.0 * ramp, -0.8, 0.8)}
-    waves["chirp"] = np.sin(2 * np.pi * (0.3 + 0.25 * time) * time)
+    waves["sine"] = np.sin(np.pi * time) + 0.4 * np.sin(7.0 * time)
     logs = [joint_log(true, *one) for one in waves.items()]
     balance = balance_of(rig, logs)
     assert balance.teeth == {"gear": 1}
@@ -288,7 +289,15 @@ def joint_fit(rig, effects):
     for _ in range(2):
         balance = in_contact(balance, start, logs)
         start = fit_rig(State(start), balance).model
-    return fit_rig(State(replace(start, effects=effects)), balance, iterations=20)
+    return logs, balance, start
+
+
+def joint_fit(rig, effects):
+    """The declared model with effects, fitted to logs of the true one."""
+    _, balance, start = joint_logs(rig, effects)
+    fit = fit_rig(State(replace(start, effects=effects)), balance, iterations=20)
+    like = fit.likelihood.knowing(fit.model, fit.left)
+    return fit_rig(fit.state, balance, iterations=20, like=like)
 
 
 def test_a_count_as_large_as_the_wind_up_leaves_an_unknown_stiffness(joint):
@@ -299,8 +308,68 @@ def test_a_count_as_large_as_the_wind_up_leaves_an_unknown_stiffness(joint):
         assert fit.values[key] == pytest.approx(SIZES[key], rel=0.03)
 
 
-def test_friction_does_not_follow_the_noise_of_a_load(joint):
-    rubs = Placed("load_dependent_friction", "motor", {"coefficient": 0.16})
-    fit = joint_fit(joint, (rubs,))
-    key = "load_dependent_friction@motor.coefficient"
-    assert fit.values[key] == pytest.approx(0.16, rel=0.05)
+RUBS = Placed("load_dependent_friction", "motor", {"coefficient": 0.16})
+
+
+def test_noise_of_a_load_makes_friction_under_it_no_smaller(joint):
+    fit = joint_fit(joint, (RUBS,))
+    key = f"{RUBS.key}.coefficient"
+    assert abs(fit.values[key] - 0.16) < 3.0 * fit.errors[key] < 0.04
+
+
+def test_noise_of_a_load_is_what_more_noise_adds(joint):
+    """Twice the readings' noise, against the variance that one such noise is said to give."""
+    logs, balance, start = joint_logs(joint, (RUBS,))
+    rubbing = replace(start.with_values(SIZES), effects=(RUBS,))
+    rng, found = np.random.default_rng(5), {}
+    for model in (rubbing, replace(rubbing, effects=())):
+        before, _ = residuals(State(model), balance)
+        variances = []
+        for _ in range(8):
+            noisy = []
+            for log in logs:
+                channels = dict(log.channels)
+                for point in balance.points:
+                    size = np.sqrt(0.5 * point.sight.noise / log.sample_time)
+                    name = point.sight.sensor.channel
+                    channels[name] = log[name] + rng.normal(0.0, size, len(log))
+                noisy.append(Log(log.name, log.time, channels))
+            again = balance_of(joint, noisy, bandwidth=balance.bandwidth)
+            pairs = zip(again.motions, balance.motions, strict=True)
+            same = [replace(a, loose=b.loose, flank=b.flank, zero=b.zero) for a, b in pairs]
+            after, _ = residuals(State(model), replace(again, motions=tuple(same)))
+            rows = zip(after, before, balance.counted, strict=True)
+            variances += [[np.var((a - b)[e, use[e]]) for e in (0, 1)] for a, b, use in rows]
+        seen = np.mean(variances, axis=0)
+        told = [float(noise @ noise) for noise in noise_in_balance(model, balance)]
+        np.testing.assert_allclose(told, seen, rtol=0.25)
+        found[bool(model.effects)] = told[0]
+    assert found[True] > 1.1 * found[False]
+
+
+def test_an_effect_that_turns_the_teeth_over_is_asked_for_their_flanks(joint):
+    pulls = Placed("unbalance", "table", {"cosine": -0.42, "sine": -0.03})
+    logs, balance, start = joint_logs(joint, (pulls,))
+    true = RigModel(joint, effects=(pulls,)).with_values(SIZES)
+    evidence = RigEvidence(balance, balance, 1, logs)
+    state = evidence.closed(evidence.base(State(replace(start, effects=(pulls,)))))
+    wrong = []
+    for one in (balance, state.logs):
+        off = []
+        for log, motion in zip(logs, one.motions, strict=True):
+            torque = march(true, log["in_drive"][None], DT).link("gear")
+            use = (motion.loose["gear"] < 0.5) & (np.abs(torque) > 1e-3)
+            off.append(np.sign(torque[use]) != motion.flank["gear"][use])
+        wrong.append(np.mean(np.concatenate(off)))
+    assert wrong[0] > 0.05
+    assert wrong[1] < 0.01
+    assert state.fit.values["link.gear.stiffness"] == pytest.approx(10.0, rel=0.3)
+
+
+def test_a_stiffness_ends_where_samples_show_no_faster_mode(joint):
+    logs, balance, start = joint_logs(joint, ())
+    frees = {f.label: f for f in free_parameters(start, balance, scales_of(balance))}
+    near, far = (start.value(f"body.{b}.inertia") for b in ("motor", "table"))
+    far /= 35.0**2
+    reduced = near * far / (near + far)
+    assert np.sqrt(frees["link.gear.stiffness"].high / reduced) == pytest.approx(np.pi / DT)

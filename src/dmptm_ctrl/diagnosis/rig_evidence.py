@@ -38,6 +38,7 @@ from dmptm_ctrl.identify.gap_search import from_elsewhere
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.likelihood import Likelihood
 from dmptm_ctrl.identify.measured_motion import Nuisance
+from dmptm_ctrl.identify.pushing_teeth import pushing
 from dmptm_ctrl.identify.rig_fit import (
     RigFit,
     fit_rig,
@@ -304,10 +305,11 @@ class RigEvidence:
         return fit
 
     def closed(self, state: RigState) -> RigState:
-        """Let a model show anew when hidden teeth touch, and fit again."""
-        if self.read and state.logs.closed:
-            both = (touching(one, state.fit.model, self.read) for one in (state.logs, state.held))
-            state = self.refit(state, *both)
+        """Let a model show anew when teeth touch, and on which flank, and fit again."""
+        if self.read and (state.logs.closed or state.logs.teeth):
+            model, read = state.fit.model, self.read
+            both = (touching(one, model, read) for one in (state.logs, state.held))
+            state = self.refit(state, *(pushing(one, model, read) for one in both))
         return self._counted(state)
 
     def _counted(self, state: RigState) -> RigState:

@@ -13,7 +13,7 @@ from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
-from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel, angle_body
+from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel, angle_body, link_inertias
 
 OFFSET = DRIVE_OFFSET.name
 ALL = ""  # in place of a log: what belongs to all of them
@@ -140,6 +140,9 @@ def free_parameters(
         least = LEAST_SCALE * own.of(quantity.unit)
         size = max(abs(model.value(key)), least)
         ends = (low, high) if known and model.ranged else (0.0, inf)
+        if name == "stiffness" and not known:  # samples show no faster mode
+            near, far = link_inertias(model, place)
+            ends = 0.0, near * far / (near + far) * (np.pi / scales.dt) ** 2
         frees.append(Free("value", key, name, *ends, size, prior, least))
     for effect in model.effects:
         beside = PLACED_CATALOGUE[effect.name].place in ("body", "link")

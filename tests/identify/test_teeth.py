@@ -367,7 +367,7 @@ def test_an_effect_that_turns_the_teeth_over_is_asked_for_their_flanks(joint):
 
 
 def test_a_stiffness_ends_where_samples_show_no_faster_mode(joint):
-    logs, balance, start = joint_logs(joint, ())
+    _, balance, start = joint_logs(joint, ())
     frees = {f.label: f for f in free_parameters(start, balance, scales_of(balance))}
     near, far = (start.value(f"body.{b}.inertia") for b in ("motor", "table"))
     far /= 35.0**2

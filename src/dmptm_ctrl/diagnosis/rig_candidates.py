@@ -132,7 +132,7 @@ def bodies_for(tangent: Tangent, chain: PlacedEffect) -> list[str]:
     model = tangent.fit.model
     layout, ends = model.layout, {b for k in model.rig.links for b in (k.first, k.second)}
     driven = {*layout.input_body.values()}
-    under_load = "mesh_torque" in chain.effect.depends_on
+    under_load = chain.by_load
     if chain.effect.wave and not chain.effect.search and not _factors(chain):
         turns = {(layout.coordinate[b], abs(layout.ratio[b])): b for b in reversed(layout.bodies)}
         return [*turns.values()][::-1]
@@ -181,7 +181,7 @@ def _body_effect(tangent: Tangent, chain: PlacedEffect, on: tuple[str, ...]) -> 
         return None  # it is what breakaway exceeds Coulomb friction by
     factors = _factors(chain)
     slow = chain.site == "presliding"
-    own = (slow or factors) and "mesh_torque" not in chain.effect.depends_on
+    own = (slow or factors) and not chain.by_load
     if own and not _rubs(model, body):
         return None
     if slow:

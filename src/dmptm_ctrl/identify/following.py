@@ -93,8 +93,8 @@ def lately_changed(side: Floats, dt: float) -> NDArray[np.bool_]:
 
 
 def loaded(model: RigModel) -> bool:
-    """Whether an effect of a model depends on what links carry."""
-    return any("mesh_torque" in PLACED_CATALOGUE[e.name].effect.depends_on for e in model.effects)
+    """Whether friction of a model goes with what links carry."""
+    return any(PLACED_CATALOGUE[e.name].by_load for e in model.effects)
 
 
 def loads_of(

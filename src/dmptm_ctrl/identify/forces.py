@@ -310,7 +310,7 @@ def _friction(
             )
         return friction, other
 
-    if any(_by_load(e) for e in acting):
+    if any(PLACED_CATALOGUE[e.name].by_load for e in acting):
         return rub()
     laws = (x.tobytes() for x in (plant.law[tied], plant.body_ratio[tied], plant.bristles))
     what = (*names, *laws, acting_by(acting, nuisance))
@@ -327,11 +327,6 @@ def _turning(motion: Motion, q: Floats, v: Floats, r: float, zero: float) -> tup
     return found
 
 
-def _by_load(effect: Placed) -> bool:
-    """Whether an effect depends on what links carry."""
-    return "mesh_torque" in PLACED_CATALOGUE[effect.name].effect.depends_on
-
-
 def _rubbing(
     effect: Placed, motion: Motion, q: Floats, v: Floats, r: float, nuisance: Nuisance, load: Floats
 ) -> tuple[Floats, Floats]:
@@ -343,7 +338,7 @@ def _rubbing(
         share = unfolded(effect, omega, motion)
         return 1.0 + share * (scale - 1.0), share * np.where(omega > 0.0, added, -added)
 
-    if _by_load(effect):
+    if PLACED_CATALOGUE[effect.name].by_load:
         return rub()
     found: tuple[Floats, Floats] = kept(motion, (r, acting_by([effect], nuisance)), [q, v], rub)
     return found

@@ -91,7 +91,7 @@ def _rubbing(model: RigModel) -> list[tuple[str, float]]:
     return [
         (e.on, e.values[chain.amplitudes[0]])
         for e in model.effects
-        if "mesh_torque" in (chain := PLACED_CATALOGUE[e.name]).effect.depends_on
+        if (chain := PLACED_CATALOGUE[e.name]).by_load
     ]
 
 

@@ -107,6 +107,11 @@ class PlacedEffect(NamedTuple):
         return self.effect.search != "places" and (self.effect.wave or not self.own)
 
     @property
+    def by_load(self) -> bool:
+        """Whether it is a friction that goes with what links carry."""
+        return self.site == "friction" and "mesh_torque" in self.effect.depends_on
+
+    @property
     def shapes(self) -> tuple[str, ...]:
         """Names of the parameters without meaning at zero effect."""
         return tuple(p.name for p in self.keep if p.bank)
@@ -117,8 +122,7 @@ class PlacedEffect(NamedTuple):
             return any(link.mesh and not link.rigid for link in rig.links)
         if self.name == "torque_constant_mismatch":  # of one input it is the scale of everything
             return len(rig.inputs) > 1
-        loaded = self.place == "link" or "mesh_torque" in self.effect.depends_on
-        return bool(rig.links) or not loaded
+        return bool(rig.links) or not (self.place == "link" or self.by_load)
 
 
 def whole(effect: Effect) -> PlacedEffect:

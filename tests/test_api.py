@@ -467,7 +467,9 @@ def test_no_number_is_refused(call):
 def test_gains_that_are_not_finite_are_refused(gains):
     model, plant = dmptm_ctrl.Model(), dmptm_ctrl.three_dof()
     for name, first in [("limit_cycles", model), ("margins", plant), ("close_speed_loop", plant)]:
-        with pytest.raises(ValueError, match=f"^{name}: k[pi] is .*; it must be (finite|a number)$"):
+        with pytest.raises(
+            ValueError, match=f"^{name}: k[pi] is .*; it must be (finite|a number)$"
+        ):
             getattr(dmptm_ctrl, name)(first, *gains)
     for name in ("Loop", "Controller"):
         with pytest.raises(ValueError, match=f"^{name}: k[pi] is"):

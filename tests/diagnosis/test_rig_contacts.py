@@ -118,7 +118,7 @@ def test_a_gap_between_coarse_encoders(gap):
         half = evidence.adopt(base, one).fit.values["backlash@coupling.half_gap"]
         assert half == pytest.approx(gap, rel=0.1)
         # a twist that wanders in the gap correlates; what is left beside the gap does less
-        before, after = (fit.likelihood.news for fit in (base.fit, one.fitted[1]))
+        before, after = (fit.likelihood.independent for fit in (base.fit, one.fitted[1]))
         assert after[1] > 1.5 * before[1]
 
 

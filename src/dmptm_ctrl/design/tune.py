@@ -31,7 +31,7 @@ from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.rig_model import RigModel
 
-SEARCHED = 16  # plants in the search; the result is judged on many more
+SEARCHED = 16  # plants in the search; the result is evaluated on many more
 RESERVE = 1.6  # gain up to which no drawn plant may start to hammer: 4 dB on the nonlinear drive
 TOLERATED = 1.5  # error at that gain, over the error at the gain itself
 # of the distance over which friction may build up hidden
@@ -217,11 +217,11 @@ def tune_controller(
         plant = linear_plant(level(model))
     start = fastest_pi(plant, **aims.linear())
     search = _Search(model, aims, plant, start, uncertainty, seed, jobs, (input, sensor))
-    judged = draw_plants(model, plants, uncertainty=uncertainty, seed=seed + 1)
+    validation = draw_plants(model, plants, uncertainty=uncertainty, seed=seed + 1)
     stages: list[dict[str, Any]] = []
     errors = np.empty(0)
     for name, controller in search.stages():
-        errors, volts = tracking(controller, judged, aims, seed=seed + 2, jobs=jobs)
+        errors, volts = tracking(controller, validation, aims, seed=seed + 2, jobs=jobs)
         stages.append(
             {
                 "stage": name,
@@ -238,7 +238,7 @@ def tune_controller(
     except ArithmeticError:
         reference = None
     best = stages[-1]["controller"]
-    parts = predicted_parts(best, judged[:SEARCHED], aims, seed=seed + 2, jobs=jobs)
+    parts = predicted_parts(best, validation[:SEARCHED], aims, seed=seed + 2, jobs=jobs)
     return Tuned(best, start, reference, stages, errors, aims, parts)
 
 

@@ -11,7 +11,7 @@ from dmptm_ctrl.diagnosis.candidate import name_of
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.negligible import material_together
-from dmptm_ctrl.diagnosis.predict import apart, free_run, speed_error, twin_steps
+from dmptm_ctrl.diagnosis.predict import free_run, rms_excess, speed_error, twin_steps
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.diagnosis.tables import Tables
@@ -127,8 +127,8 @@ def judge(
     ]
     rows += [sensor_row(name, augmented.model, speed, logs, jobs) for name in fixed]
     left = (
-        apart(speed["after"]["rmse"], speed["floor"]["rmse"]),
-        apart(torque["after"]["rmse"], torque["floor"]["rmse"]),
+        rms_excess(speed["after"]["rmse"], speed["floor"]["rmse"]),
+        rms_excess(torque["after"]["rmse"], torque["floor"]["rmse"]),
     )
     depends_on = rest.variables if rest is not None else ()
     closed = closed_rows(
@@ -276,14 +276,14 @@ def effect_row(
     name = name_of(key)
     effect = CATALOGUE[name]
     left = on_rows_of(final.left, without.left)
-    torque = apart(torque_error(left)["rmse"], torque_error(final.left)["rmse"])
+    torque = rms_excess(torque_error(left)["rmse"], torque_error(final.left)["rmse"])
     damping = {k: augmented.model.drive[k] for k in ("c", "c_f")}
     model = left.base.model.with_values(**damping)
     slower = speed_error(model, measured.held_logs, jobs)["rmse"]
     return Row(
         name,
         effect.location,
-        apart(slower, speed["after"]["rmse"]),
+        rms_excess(slower, speed["after"]["rmse"]),
         torque,
         min(max(lacked(without, final, errors, scale), 0.0), 1.0),
         effect.depends_on,
@@ -294,7 +294,9 @@ def sensor_row(
     name: str, model: Model, speed: Mapping[str, Mapping[str, float]], logs: Any, jobs: int
 ) -> Row:
     """What the error of the readings rises by without an error of a sensor."""
-    lost = apart(speed_error(model.without([name]), logs, jobs)["rmse"], speed["after"]["rmse"])
+    lost = rms_excess(
+        speed_error(model.without([name]), logs, jobs)["rmse"], speed["after"]["rmse"]
+    )
     span = speed["before"]["rmse"] ** 2 - speed["floor"]["rmse"] ** 2
     share = min(lost**2 / span, 1.0) if span > 0.0 else 0.0
     return Row(name, CATALOGUE[name].location, lost, None, share, CATALOGUE[name].depends_on)

@@ -43,7 +43,7 @@ def twin_steps(covariance: Floats) -> list[Floats]:
     return [root @ rng.standard_normal(values.size) for _ in range(TWINS)]
 
 
-def apart(one: float, other: float) -> float:
+def rms_excess(one: float, other: float) -> float:
     """Root of a difference of squares, not below nothing."""
     return float(np.sqrt(max(one**2 - other**2, 0.0)))
 
@@ -160,7 +160,8 @@ def measured(model: Model | RigModel, log: Log) -> dict[str, Floats]:
 def errors_text(model: Model | RigModel, table: pd.DataFrame, seen: Mapping[str, Floats]) -> str:
     """Return a line per predicted sensor: its unit, and its rms error where the log has it.
 
-    That of the ring gear's speed stands also below the bandwidth of a report's errors. `seen` are the columns that the log has, see :func:`measured`.
+    That of the ring gear's speed stands also below the bandwidth of a report's errors.
+    `seen` are the columns that the log has, see :func:`measured`.
     """
     units = {
         name: ("deg/s" if name.endswith("_s") else "deg", 1.0) for name in DUAL_COLUMNS.values()

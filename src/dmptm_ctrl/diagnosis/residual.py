@@ -60,7 +60,7 @@ class Residual:
     def fast(self) -> "Residual":
         """The same, judged by what is faster than windows besides.
 
-        With motor encoders the chains' own balances show more, and nothing is added.
+        With motor encoders the sides' own balances show more, and nothing is added.
         """
         if self.balance.fast or not self.balance.simulated:
             return self

@@ -4,7 +4,7 @@ Summed over all bodies the mesh torques cancel, so that the balance at the ring 
 
     J_L α_L + N2 J̄3 (α_3l + α_3r) = N2 (N1 K (u_l + u_r) − F_3l − F_3r) − F_L + effects
 
-holds through gaps and impact chatter, of which no simulation predicts the course; per chain the
+holds through gaps and impact chatter, of which no simulation predicts the course; per side the
 mesh torque follows from the measured twist while the pinion rests on a flank. Nothing is
 integrated: no drift, no chaos, and nearly linear in everything unknown. What acts faster than a
 window is long is measured by the gyro's fast part (`ripple`).
@@ -32,7 +32,7 @@ FIRM = 1.0  # N·m at the pinion; below, the flanks part and meet again within a
 MIN_WINDOWS = 8  # of a log and equation; fewer say nothing about their own scatter
 GAUSSIAN = 1e6  # freedom of Student's t, where every window counts in full
 # N·m, rad/s for ripple and led; friction laws, and a sensor's noise, are not known more finely
-FLOOR = {"total": 0.1, "chain": 0.4, "ripple": 0.5 * GYRO_NOISE, "led": 0.2 * GYRO_NOISE}
+FLOOR = {"total": 0.1, "side": 0.4, "ripple": 0.5 * GYRO_NOISE, "led": 0.2 * GYRO_NOISE}
 # Difference steps, in scales of an unknown; small for what enters a phase or an exponent.
 PROBES = {"drive": 0.1, "amplitude": 1.0, "shape": 0.02}
 ITERATIONS = 8
@@ -43,7 +43,7 @@ STALLED = 0.5  # fall of the loss that ends the iterations
 # on its flank lasts for several. Not read off the misfit, which a missing effect correlates.
 # Samples of the fast part are white. How much blocks of short predictions count is measured by
 # benchmarks/short_weight.py.
-INDEPENDENT = {"total": 0.6, "chain": 0.25, "ripple": 1.0, "led": 0.1}
+INDEPENDENT = {"total": 0.6, "side": 0.25, "ripple": 1.0, "led": 0.1}
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +220,7 @@ class BalanceFit(Fit):
 
 
 def weights(parts: Sequence[Floats], kinds: Sequence[str], freedom: float = FREEDOM) -> Floats:
-    """Square roots of what each window counts: its equation's scale, bent, and news."""
+    """Square roots of what each window counts: its scale, bent, and independent share."""
     return np.concatenate(
         [
             np.sqrt(INDEPENDENT[role_of(kind)] * (freedom + 1.0) / (freedom + (part / sigma) ** 2))
@@ -283,8 +283,8 @@ def split(vector: Floats, like: Sequence[Floats]) -> list[Floats]:
 
 
 def role_of(kind: str) -> str:
-    """Tell the balance of the whole, that of a chain and the fast part apart."""
-    return "chain" if kind in SIDES else kind
+    """Tell the balance of the whole, that of a side and the fast part apart."""
+    return "side" if kind in SIDES else kind
 
 
 def role(unknown: Unknown) -> str:

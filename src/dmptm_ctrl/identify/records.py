@@ -29,7 +29,7 @@ class Record:
     theta, omega : (n,) arrays [rad, rad/s]
         Ring-gear readings.
     twist : (n, 2) array [rad] or None
-        Measured z = θm/N1 − N2 θL per chain, where the log has motor encoders.
+        Measured z = θm/N1 − N2 θL per side, where the log has motor encoders.
     x0 : (6,) array
         State at rest at the first reading.
     """

@@ -1,4 +1,4 @@
-"""Fit a chain's parameters to the balance of torques, by Gauss–Newton with bounds.
+"""Fit a rig's parameters to the balance of torques, by Gauss–Newton with bounds.
 
 What is lowered is −2 log-likelihood: each equation normal at its own scale, every row counted
 as the share of it that is independent; and Σ ((p − p0)/σ)² over declared ranges.
@@ -33,7 +33,7 @@ PAST_IMPACTS = 0.05  # the same where impacts that nothing shows decide a run
 
 @dataclass(frozen=True, eq=False)
 class RigFit:
-    """A fitted chain.
+    """A fitted rig.
 
     Attributes
     ----------

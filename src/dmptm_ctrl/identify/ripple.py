@@ -1,7 +1,7 @@
 """Torque ripple that the gyro shows faster than the windows of the balances.
 
 Rotor magnets push many times per motor turn: at all but creeping speeds faster than the 25 Hz
-that a window passes. While the ring gear and both chains turn one way with both meshes closed,
+that a window passes. While the ring gear and both sides turn one way with both meshes closed,
 the drive is linear and the ring gear's speed answers a torque as
 
     ω(s)/T(s) = (2 ζ ω0 s + ω0²) / (J s (s² + 2 ζ ω0 s + ω0²)),   J = J_L + 2 N2² J̄3,
@@ -188,7 +188,7 @@ class Ripple:
 
 
 def closed(plant: Plant) -> bytes:
-    """Inertia of a chain and of the ring gear, ratio, stiffness and damping of closed meshes."""
+    """Inertia of a side and of the ring gear, ratio, stiffness and damping of closed meshes."""
     return np.array([*inertias(plant), *plant.link_values[0, :3]]).tobytes()
 
 

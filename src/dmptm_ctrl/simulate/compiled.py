@@ -66,7 +66,7 @@ class Loop(NamedTuple):
 def rest(
     model: "Model", theta_L: float, *, motors: Sequence[float] | Floats | None = None
 ) -> Floats:
-    """Return the state at rest at ring-gear angle `theta_L` [rad], chains at mid-gap.
+    """Return the state at rest at ring-gear angle `theta_L` [rad], pinions at mid-gap.
 
     Where the angles of the motors [rad] are known, they place the pinions in their gaps.
     """

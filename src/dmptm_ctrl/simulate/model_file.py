@@ -186,8 +186,8 @@ def read_model(path: str | PathLike[str]) -> Model | RigModel:
 
 def model_of(text: str, name: str) -> Model | RigModel:
     """Read the text of a model file of any drive; LogError as `read_model`."""
-    chain = parse_toml(text, name).get("kind") == RIG
-    return rig_model_from_toml(text, name) if chain else from_toml(text, name=name)
+    of_rig = parse_toml(text, name).get("kind") == RIG
+    return rig_model_from_toml(text, name) if of_rig else from_toml(text, name=name)
 
 
 def model_text(model: Model | RigModel) -> str:

@@ -1,4 +1,4 @@
-"""Simulate chains and branched trains: compiled, linear, and as python-control blocks."""
+"""Simulate rigs of any shape: compiled, linear, and as python-control blocks."""
 
 from collections.abc import Mapping
 from inspect import signature
@@ -95,7 +95,7 @@ def march(
     observer: Observer | None = None,
     measured: Floats | None = None,
 ) -> RigRun:
-    """Run a chain.
+    """Run a rig.
 
     Parameters
     ----------

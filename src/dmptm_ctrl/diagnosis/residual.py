@@ -98,7 +98,7 @@ def predicting_fit(balance: Balance, base: BalanceFit) -> BalanceFit:
 def _covariance(base: BalanceFit) -> Floats:
     """Covariance by the balances alone, of what they see.
 
-    How a run goes on after an impact depends steeply on every parameter, and identifies none.
+    How a run continues after an impact depends steeply on every parameter, and identifies none.
     """
     count = sum(kind != "led" for kind in base.kinds)
     parts, kinds = base.parts[:count], base.kinds[:count]

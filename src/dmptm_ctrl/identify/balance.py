@@ -62,7 +62,7 @@ class Balance:
     Parameters
     ----------
     declared : Model
-        Tells which meshes push firmly; which windows count does not follow a fit.
+        Shows which meshes push firmly; which windows count does not follow a fit.
     jobs : int
         Threads; nothing depends on it.
     fast : bool
@@ -295,7 +295,7 @@ def role(unknown: Unknown) -> str:
 
 
 def columns(balance: Balance, model: Model, unknowns: Sequence[Unknown], e0: Floats) -> Floats:
-    """Slopes of the missing torques by differences, (m, k)."""
+    """Derivatives of the missing torques by differences, (m, k)."""
     p0 = position(model, unknowns)
     if not unknowns:
         return np.empty((e0.size, 0))

@@ -2,7 +2,7 @@
 
 The model runs along a log, led by the measured angle through an observer: it forgets within
 1/(2π f), f the observer's bandwidth. What the gyro reads beside it, in blocks, shows what the
-balances of sliding drives do not see: reversals, landings on the other flank, stick and creep.
+balances of sliding drives do not see: reversals, first impacts on the other flank, stick and creep.
 No state has to be guessed at the start of each stretch, as all that the model remembers,
 bristles and delays too, comes from its own run.
 Source: fixed-gain prediction errors, Ljung, System Identification, 1999, ch. 3 and 7.

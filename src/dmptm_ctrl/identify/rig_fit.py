@@ -191,7 +191,7 @@ def _step(free: Free, rough: bool) -> float:
 def invisible_impacts(model: RigModel, balance: Balance) -> bool:
     """Whether bodies that nothing measures move behind a gap.
 
-    When teeth meet depends on all that came before. Slopes nearby are then chance.
+    When teeth meet depends on all that came before. Derivatives nearby are then chance.
     """
     layout, plant = model.layout, model.plant()
     seen = {*balance.seen(layout)}
@@ -212,7 +212,7 @@ def fit_rig(
 ) -> RigFit:
     """Fit by Gauss–Newton.
 
-    Without links, steps go on with derivatives that follow from how the residual moved (Broyden,
+    Without links, steps continue with derivatives that follow from how the residual moved (Broyden,
     Math. Comp. 19 (1965) 577). Differences are taken anew where these gain no more, and at the end.
 
     Parameters

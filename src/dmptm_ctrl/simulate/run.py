@@ -47,7 +47,7 @@ NOBODY = Controller(_open, _NOTHING, 1)
 
 @dataclass(frozen=True)
 class State:
-    """What a run goes on from."""
+    """State from which a run continues."""
 
     names: tuple[str, ...]
     # by `names`: coordinates q, their speeds v, those one step before p, and what meshes, lags,
@@ -74,7 +74,7 @@ class Motion(NamedTuple):
     # coordinates, their speeds; or the first of these columns
     rows: Floats
     size: tuple[int, int, int, int, int]  # of the plant
-    state: State  # at the end of the last sample's interval, to go on from
+    state: State  # at the end of the last sample's interval, to continue from
 
     def _part(self, first: int, count: int) -> Floats:
         return self.rows[:, first : first + count]

@@ -58,8 +58,8 @@ def test_log_info(capsys):
     assert "open_multisine_preload: 10000 samples, 9.999 s at 1000 Hz" in out
     assert "theta_ml_deg" in out
     assert "those of the dual-motor drive; so are these effects" in out
-    told, untold = out.split("Cannot identify")
-    assert "torque_constant_mismatch" in told
+    reported, untold = out.split("Cannot identify")
+    assert "torque_constant_mismatch" in reported
     assert "thermal_drift" in untold
 
 

@@ -104,7 +104,7 @@ def test_surprise_is_the_likelihood_of_students_t(kind):
     (s,) = scatter([x], [kind])
     top = x.size * student.logpdf(0.0, FREEDOM)
     share = INDEPENDENT.get(kind, INDEPENDENT["side"])
-    told = 2.0 * share * (top - student.logpdf(x, FREEDOM, scale=s).sum())
-    assert surprise([x], [kind]) == pytest.approx(told, rel=1e-9)
+    reported = 2.0 * share * (top - student.logpdf(x, FREEDOM, scale=s).sum())
+    assert surprise([x], [kind]) == pytest.approx(reported, rel=1e-9)
     several = [x, 3.0 * x], [kind, "total"]
     assert surprises(*several).sum() == pytest.approx(surprise(*several), rel=1e-12)

@@ -24,9 +24,9 @@ PACKAGES = [
     f"dmptm_ctrl.{module.name}" for module in pkgutil.iter_modules(dmptm_ctrl.__path__)
     if module.ispkg and module.name != "data"
 ]  # fmt: skip
-WITHOUT_EXAMPLE = {"Rig", "Diagnosis", "LogError"}  # made by functions, not by their users
+WITHOUT_EXAMPLE = {"LogError"}  # made by functions, not by their users
 LONG = {"diagnose", "reproduce", "tune_controller", "monte_carlo", "impact", "limit_cycles"}
-LONG |= {"check", "constant_speed", "load_logs", "simulate_with_sensitivities"}
+LONG |= {"Diagnosis", "check", "constant_speed", "load_logs", "simulate_with_sensitivities"}
 LONG |= {"register_effect"}  # it would stay
 API = (Path(__file__).parents[1] / "docs" / "api.md").read_text(encoding="utf-8")
 RETURNS = re.compile(r"^(Returns|Yields)\n---|^(Return|Whether) ", re.MULTILINE)

@@ -93,7 +93,7 @@ def limit_cycles(
     Raises
     ------
     ValueError
-        An effect that depends on angle or time.
+        An effect that depends on angle or time, or gains that are not finite.
 
     Examples
     --------

@@ -182,7 +182,7 @@ def tune_controller(
         Share of the declared ranges that plants are drawn from: 1 for a declared model, 0.25
         for one fitted to logs.
     plants : int
-        Drawn to judge the result.
+        Drawn to evaluate the result.
     seed : int
     jobs : int
         Threads, −1 for one per core; or tasks on any joblib backend.

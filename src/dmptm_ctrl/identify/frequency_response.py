@@ -151,6 +151,7 @@ def multisine(
 
     Parameters
     ----------
+    model : Model
     hz : (n,) array_like [Hz]
         Rounded to whole numbers of cycles per `period`; doubles are dropped.
     rms : float
@@ -160,7 +161,7 @@ def multisine(
     realisations : int
         Draws of the phases; the coherence needs at least 2.
     seed : int
-    model, loop, offset, preload, output, sample_time
+    loop, offset, preload, output, sample_time
         As in :func:`stepped_sine`.
 
     Returns

@@ -168,7 +168,8 @@ def read_model(path: str | PathLike[str]) -> Model | RigModel:
     Raises
     ------
     LogError
-        See :func:`from_toml`; also a file that cannot be read.
+        No such file, no TOML, an effect or a parameter that does not exist, a value that no
+        drive has.
 
     Examples
     --------

@@ -429,7 +429,7 @@ def test_overlay_agrees_with_the_verdicts_error(diagnosis):
 
 
 def test_short_predictions_of_the_true_model_miss_nothing_but_transients():
-    """Led by its own angle the true model follows its own speed."""
+    """Kept near its own angle, the true model follows its own speed."""
     (overlay,) = made("explained").overlays()
     left = overlay.measured - overlay.ahead
     assert np.nanmedian(np.abs(left)) < 0.02 * np.std(overlay.measured)

@@ -2,7 +2,7 @@
 
 The residual that is folded is chosen by where the effect acts: the reading of the speed
 sensor for sensors, the twist of the left pinion for meshes (with motor encoders), else the
-torque at the ring gear that the model lacks. That torque is read off an observer: led by
+torque at the ring gear that the model lacks. That torque is read off an observer: driven by
 the measured angle with bandwidth ω0 the model lags by an angle e and a speed v behind a torque
 T = J ω0² e + B v that it does not know.
 """

@@ -21,7 +21,7 @@ from dmptm_ctrl.identify.balance import scatter
 from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ, low_pass, noise_below
 from dmptm_ctrl.identify.fit import Fit, place
 from dmptm_ctrl.identify.heavy_tails import bent
-from dmptm_ctrl.identify.observer_driven import BLOCK_SECONDS, MEMORY_SECONDS, Led
+from dmptm_ctrl.identify.observer_driven import BLOCK_SECONDS, MEMORY_SECONDS, ObserverRun
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -209,7 +209,9 @@ def torque_error(left: Residual) -> dict[str, float]:
 
 def horizon(model: Model, records: Sequence[Record], jobs: int) -> float:
     """Root mean square of what short predictions miss of the speed, in blocks [deg/s]."""
-    rows = in_threads(lambda rec: Led(rec).missing(model), records, jobs, lambda r: r.omega.size)
+    rows = in_threads(
+        lambda rec: ObserverRun(rec).missing(model), records, jobs, lambda r: r.omega.size
+    )
     return float(np.rad2deg(np.sqrt(np.mean(np.square(np.concatenate(rows))))))
 
 
@@ -234,7 +236,7 @@ def scatters(twins: Sequence[Model], measured: Measured, jobs: int) -> tuple[flo
         return spread([low_pass(run, log.sample_time) for run in runs])
 
     def short(rec: Record) -> tuple[float, int]:
-        return spread(Led(rec).missing_of(twins))
+        return spread(ObserverRun(rec).missing_of(twins))
 
     def spread(runs: Any) -> tuple[float, int]:
         return float(np.sum(np.var(runs, axis=0, ddof=1))), len(runs[0])

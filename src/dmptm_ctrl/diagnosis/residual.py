@@ -76,7 +76,7 @@ class Residual:
 
 def predicting(left: Residual) -> Residual:
     """Count short predictions beside the balances, and fit again."""
-    balance, held = (replace(one, led=True) for one in (left.balance, left.held))
+    balance, held = (replace(one, observer_driven=True) for one in (left.balance, left.held))
     return replace(left, balance=balance, held=held, base=predicting_fit(balance, left.base))
 
 
@@ -100,7 +100,7 @@ def _covariance(base: BalanceFit) -> Floats:
 
     How a run continues after an impact depends steeply on every parameter, and identifies none.
     """
-    count = sum(kind != "led" for kind in base.kinds)
+    count = sum(kind != "observer" for kind in base.kinds)
     parts, kinds = base.parts[:count], base.kinds[:count]
     derivatives = base.jacobian[: sum(map(len, parts))]
     rows = weights(parts, kinds)[:, None] * derivatives
@@ -119,9 +119,9 @@ def seen(rows: Floats, unknowns: Sequence[Unknown]) -> list[bool]:
 
 def of_windows(left: Residual) -> Residual:
     """Fit to the balances alone what they see; what they do not see stays as it is."""
-    if not left.balance.led:
+    if not left.balance.observer_driven:
         return left
-    balance, held = (replace(one, led=False) for one in (left.balance, left.held))
+    balance, held = (replace(one, observer_driven=False) for one in (left.balance, left.held))
     model, unknowns = left.base.model, left.base.unknowns
     parts = balance.missing(model)
     derivatives = columns(balance, model, unknowns, np.concatenate(parts))

@@ -1,4 +1,4 @@
-"""Runs of a rig file's drive on its held-out logs, free or led, and what they miss of a sensor."""
+"""Runs of a rig on its held-out logs, free or with an observer, and what they miss."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

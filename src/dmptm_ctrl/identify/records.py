@@ -114,7 +114,7 @@ def block_mean(signal: Floats, block: int) -> Floats:
 
 
 def predict(rec: Record, model: Model, bandwidth_hz: float = 0.0) -> Floats:
-    """Run the model on a record; with a bandwidth, led slowly by the measured angle.
+    """Run the model on a record; with a bandwidth, kept near the measured angle by a slow observer.
 
     Returns
     -------

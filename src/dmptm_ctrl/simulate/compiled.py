@@ -97,10 +97,10 @@ def march(
     Returns columns :data:`OUTPUTS` in SI, (n, 8), or without `meshes` the first 4.
     """
     plant = plant_with(model, contact)
-    led = {}
+    observed = {}
     if observer is not None:
-        led = {"observer": rigid_observer(plant, 0, observer), "measured": measured}
-    return _run(plant, x0, u, dt, substeps, None, meshes, begin, **led)[1]
+        observed = {"observer": rigid_observer(plant, 0, observer), "measured": measured}
+    return _run(plant, x0, u, dt, substeps, None, meshes, begin, **observed)[1]
 
 
 def steps_in(dt: float) -> int:

@@ -10,7 +10,7 @@ from dmptm_ctrl.simulate.elementary import address_of
 from dmptm_ctrl.simulate.lanes import LANES, aligned, calls_of, lane_engine, rows_of
 from dmptm_ctrl.simulate.loading import loops as loops_of
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.observer import UNLED, Observer
+from dmptm_ctrl.simulate.observer import NO_OBSERVER, Observer
 from dmptm_ctrl.simulate.plant import Flags, Floats, Plant, Structure, numbers, structure_of
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.run import NOBODY, Controller
@@ -156,9 +156,10 @@ def _lanes(
     room = int(np.ceil(dead.max(initial=0.0))) + 2
     inputs = len(structure.inputs)
     kept = np.zeros((width, inputs, room))
-    led = (observers or [UNLED] * lanes) + [observers[-1] if observers else UNLED] * (width - lanes)
-    gains = np.stack([o.gains for o in led], axis=-1)
-    shown = np.stack([o.shown(p) for o, p in zip(led, padded, strict=True)], axis=-1)
+    last = observers[-1] if observers else NO_OBSERVER
+    each = [*(observers or [NO_OBSERVER] * lanes), *[last] * (width - lanes)]
+    gains = np.stack([o.gains for o in each], axis=-1)
+    shown = np.stack([o.shown(p) for o, p in zip(each, padded, strict=True)], axis=-1)
     kept_samples = -(-common.samples // common.every) if common.columns else 0
     out = np.empty((lanes, len(common.columns), kept_samples))
     columns, summed = (
@@ -176,8 +177,8 @@ def _lanes(
         common.substeps, address_of(laws[0].function), np.array([law.rule for law in laws]),
         np.zeros((width, laws[0].memory)), common.target, common.noise, closed,
         np.zeros(sensors), np.zeros(inputs),
-        led[0].sensors, common.measured, gains, shown, led[0].leak,
-        np.zeros((led[0].leak.size, width)), np.zeros((2 * structure.coordinates, width)),
+        each[0].sensors, common.measured, gains, shown, each[0].leak,
+        np.zeros((each[0].leak.size, width)), np.zeros((2 * structure.coordinates, width)),
         columns, common.every, out, summed.size > 0, common.samples,
     )  # fmt: skip
     found = table[first : first + 4 * count].reshape(4, count, width)[:, summed, :lanes]

@@ -276,11 +276,11 @@ def _linear(
     best: tuple[float, Trial] | None = None
     for shape in shapes:
         parts = _columns_at(tangent, entry, on, shape, names)
-        apart = not same and len(logs) > 1 and entry.effect.wave
-        wide = _per_log(parts, tangent.balance) if apart else parts
+        per_log = not same and len(logs) > 1 and entry.effect.wave
+        wide = _per_log(parts, tangent.balance) if per_log else parts
         gain, amplitudes = tangent.score(wide)
         pairs = amplitudes.reshape(-1, parts[0].shape[-1])
-        zero: dict[str, dict[str, float]] = {log: {} for log in logs[1:]} if apart else {}
+        zero: dict[str, dict[str, float]] = {log: {} for log in logs[1:]} if per_log else {}
         if any(low[n] >= 0 and pairs[0][j] < 0 for j, n in enumerate(names)):
             gain = 0.0  # friction that drives, a spring that pushes
         if best is not None and gain <= best[0]:
@@ -289,7 +289,7 @@ def _linear(
         for k, one in enumerate(placed_at(entry.name, on, shape)):
             mine = pairs[:, k * each : (k + 1) * each] if entry.own else pairs
             sizes = mine[0]
-            if apart:
+            if per_log:
                 sizes, shifts = _common_phase(mine, logs, shape.get("order", 1.0))
                 for log, shift in shifts.items():
                     zero[log][one.key] = shift

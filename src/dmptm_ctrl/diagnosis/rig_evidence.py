@@ -253,10 +253,10 @@ class RigEvidence:
         fall -= held.surprise(larger.held_left[0], more)
         searched = sum(_searched(key, larger.logs) for key in larger.keys)
         searched -= sum(_searched(key, larger.logs) for key in smaller.keys)
-        apart = larger.loudness - smaller.loudness
+        extra = larger.loudness - smaller.loudness
         if larger.on_inputs != smaller.on_inputs:
-            apart += larger.effort - smaller.effort
-        louder = 2.0 * float(likelihood.independent.mean()) * apart
+            extra += larger.effort - smaller.effort
+        louder = 2.0 * float(likelihood.independent.mean()) * extra
         rows, held_rows = counted_rows(larger)
         return fitted - searched + rows * louder, fall + held_rows * louder
 

@@ -138,8 +138,8 @@ def _harmonic(f: float, error: float, u: Floats, dt: float) -> bool:
     before, peak, after = np.log(np.maximum(power[top - 1 : top + 2], 1e-300))
     wave = (top + 0.5 * (before - after) / (before - 2 * peak + after)) / (size * dt)
     nearest = max(round(f / wave), 1)
-    apart = abs(f - nearest * wave)
-    return apart <= FIRM * error or (nearest <= FURTHEST and apart * u.size * dt <= RESOLVED)
+    distance = abs(f - nearest * wave)
+    return distance <= FIRM * error or (nearest <= FURTHEST and distance * u.size * dt <= RESOLVED)
 
 
 def _unseen(effect: Placed, fit: RigFit, before: RigFit) -> str:

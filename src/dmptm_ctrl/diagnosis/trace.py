@@ -169,11 +169,11 @@ def pair_gains(trace: Trace, cosine: Floats, sine: Floats) -> Floats:
     return np.asarray((ss * rc**2 - 2 * cs * rc * rs + cc * rs**2) / det)
 
 
-def best(gains: Floats, keep: int, apart: int) -> list[int]:
+def best(gains: Floats, keep: int, spacing: int) -> list[int]:
     """Indices of the largest gains, no two closer than `apart`."""
     chosen: list[int] = []
     for i in np.argsort(-gains):
-        if all(abs(i - j) >= apart for j in chosen):
+        if all(abs(i - j) >= spacing for j in chosen):
             chosen.append(int(i))
         if len(chosen) == keep:
             break

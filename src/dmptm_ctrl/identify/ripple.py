@@ -170,8 +170,8 @@ class Ripple:
         counts = np.zeros(self.used.size)
         counts[self.used] = weights
         pace = np.abs(self.motion.run[:, 1]) * gain * self.motion.rec.dt / (FINER * np.pi)
-        apart = self.motion.run[:, 2] - self.motion.run[:, 3]
-        own, crossed = powers(pace, apart, counts, self.response(answer), most)
+        difference = self.motion.run[:, 2] - self.motion.run[:, 3]
+        own, crossed = powers(pace, difference, counts, self.response(answer), most)
         return found, gain**2 * own, gain**2 * crossed
 
     def response(self, answer: tuple[Floats, Floats]) -> Floats:
@@ -222,9 +222,9 @@ def waves(angle: Floats, weights: Floats, most: int) -> NDArray[np.complex128]:
 
 @cached(nogil=True)
 def powers(
-    pace: Floats, apart: Floats, weights: Floats, response: Floats, most: int
+    pace: Floats, difference: Floats, weights: Floats, response: Floats, most: int
 ) -> tuple[Floats, NDArray[np.complex128]]:
-    """Halves of Σ weight · response, and the same times exp(i n apart), for each order.
+    """Halves of Σ weight · response, and the same times exp(i n difference), for each order.
 
     `pace` is the frequency of the first order as a share of that where the response ends.
     """
@@ -232,7 +232,7 @@ def powers(
     last = response.size - 1
     for i in range(pace.size):
         if weights[i] != 0.0:
-            step = complex(np.cos(apart[i]), np.sin(apart[i]))
+            step = complex(np.cos(difference[i]), np.sin(difference[i]))
             turn = step
             for n in range(most):
                 at = pace[i] * (n + 1)

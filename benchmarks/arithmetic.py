@@ -27,9 +27,9 @@ ALIKE = 0.05  # between probabilities
 def diagnosed(case, out, arithmetic):
     """Content of diagnosis.json, or the message of a refusal."""
     folder = out / arithmetic / case.id
-    told = folder.with_suffix(".txt")
+    failure = folder.with_suffix(".txt")
     found = folder / "diagnosis.json"
-    if not found.exists() and not told.exists():
+    if not found.exists() and not failure.exists():
         rig = case.folder / "rig.toml"
         command = [sys.executable, "-m", "dmptm_ctrl", "diagnose", case.folder, "--out", folder]
         command += ["--jobs", "1", *(("--rig", rig) if rig.exists() else ())]
@@ -40,10 +40,14 @@ def diagnosed(case, out, arithmetic):
             env=environment,
         )  # fmt: skip
         if done.returncode != 0:
-            told.parent.mkdir(parents=True, exist_ok=True)
-            told.write_text(done.stderr.strip()[-300:] + "\n", encoding="utf-8")
-    if told.exists():
-        return {"verdict": told.read_text(encoding="utf-8").strip(), "effects": [], "error": None}
+            failure.parent.mkdir(parents=True, exist_ok=True)
+            failure.write_text(done.stderr.strip()[-300:] + "\n", encoding="utf-8")
+    if failure.exists():
+        return {
+            "verdict": failure.read_text(encoding="utf-8").strip(),
+            "effects": [],
+            "error": None,
+        }
     return json.loads(found.read_text(encoding="utf-8"))
 
 

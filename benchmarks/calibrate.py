@@ -58,9 +58,9 @@ def absent(seed, ordinary, jobs):
         base = DualState(residual(measured, model, jobs=jobs))
         evidence = DualEvidence(measured, tuple(sensors.values), jobs)
         found = select_effects(evidence, base)
-        named = told(found)
+        named = reported(found)
         # what short predictions add, those that are negligible left out
-        named |= told(with_short_predictions(evidence, found))
+        named |= reported(with_short_predictions(evidence, found))
     own = ORDINARY if ordinary else set()
     rest = [c.evidence for c in found.rest if c.keys[0].partition("@")[0] not in own]
     return {
@@ -73,7 +73,7 @@ def absent(seed, ordinary, jobs):
     }
 
 
-def told(found):
+def reported(found):
     """Evidence of each name, and the share by which what is left rises without it."""
     return {
         name_of(e.key): (round(e.evidence, 1), round(rise(e.without, found.final), 4))

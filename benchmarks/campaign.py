@@ -171,7 +171,7 @@ def run(cases, out, jobs, threads, scheduler=None, show=print):
         for line in each(examine, ((case, out, threads) for case in todo), jobs, in_order=False):
             file.write(json.dumps(line, allow_nan=False) + "\n")
             file.flush()
-            show(told(line))
+            show(reported(line))
 
 
 def read(path):
@@ -185,7 +185,7 @@ def read(path):
     return {line["id"]: line for line in map(json.loads, whole.splitlines())}
 
 
-def told(line):
+def reported(line):
     """One line for the terminal."""
     judged = score(line)
     said = line.get("diagnosis", {"effects": []})

@@ -203,11 +203,11 @@ def predictions(held, truth):
     if not held or held["free"] is None or not truth.floor:
         return {}
     over = held["free"] / truth.floor
-    told = {"horizon": held["horizon"], "over_floor": over}
+    reported = {"horizon": held["horizon"], "over_floor": over}
     if truth.without is None or truth.without < LEAST * truth.floor:
-        return told
+        return reported
     left = (held["free"] - truth.floor) / (truth.without - truth.floor)
-    return told | {"left": left, "worse": held["free"] > truth.without}
+    return reported | {"left": left, "worse": held["free"] > truth.without}
 
 
 def clopper_pearson(hits, total, confidence=0.95):

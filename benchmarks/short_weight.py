@@ -6,7 +6,7 @@
 Each rig is diagnosed once. Its model is then fitted to all logs with several weights of the rows of
 short predictions, and its free runs are judged on logs that were never handed out. A line per rig:
 error of the declared model, and of each weight [deg/s]. The last line has the geometric means over
-the rigs, each over that of weight 1. `INDEPENDENT["led"]` of `identify.balance` is the weight
+the rigs, each over that of weight 1. `INDEPENDENT["observer"]` of `identify.balance` is the weight
 with the least.
 """
 
@@ -34,11 +34,11 @@ def errors(folder, jobs):
         measured, base = found.source.measured, found.selection.final.left.base
         records = (*measured.fit, *(r for r in measured.held if r not in measured.fit))
         rows, start = closed(records, base.model, Model(measured.drive), base.unknowns, jobs)
-        models, usual = [found.declared], balance.INDEPENDENT["led"]
+        models, usual = [found.declared], balance.INDEPENDENT["observer"]
         for weight in WEIGHTS:
-            balance.INDEPENDENT["led"] = weight
-            models.append(predicting_fit(replace(rows, led=True), start).model)
-        balance.INDEPENDENT["led"] = usual
+            balance.INDEPENDENT["observer"] = weight
+            models.append(predicting_fit(replace(rows, observer_driven=True), start).model)
+        balance.INDEPENDENT["observer"] = usual
         hidden = load_logs(folder.with_name(f"{folder.name}.held"))
         return np.array([speed_error(model, hidden, jobs)["rmse"] for model in models])
 

@@ -24,9 +24,9 @@ PACKAGES = [
     f"dmptm_ctrl.{module.name}" for module in pkgutil.iter_modules(dmptm_ctrl.__path__)
     if module.ispkg and module.name != "data"
 ]  # fmt: skip
-WITHOUT_EXAMPLE = {"Rig", "Diagnosis", "LogError"}  # made by functions, not by their users
+WITHOUT_EXAMPLE = {"LogError"}  # made by functions, not by their users
 LONG = {"diagnose", "reproduce", "tune_controller", "monte_carlo", "impact", "limit_cycles"}
-LONG |= {"check", "constant_speed", "load_logs", "simulate_with_sensitivities"}
+LONG |= {"Diagnosis", "check", "constant_speed", "load_logs", "simulate_with_sensitivities"}
 LONG |= {"register_effect"}  # it would stay
 API = (Path(__file__).parents[1] / "docs" / "api.md").read_text(encoding="utf-8")
 RETURNS = re.compile(r"^(Returns|Yields)\n---|^(Return|Whether) ", re.MULTILINE)
@@ -461,6 +461,36 @@ def test_no_number_is_refused(call):
     arguments |= {"Aims": (np.float64("nan"),), "Controller": (1.0, np.nan)}
     with pytest.raises(ValueError, match=f"^{call}: .* is NaN; it must be a number$"):
         getattr(dmptm_ctrl, call)(*arguments[call])
+
+
+@pytest.mark.parametrize("gains", [(np.inf, 90.0), (5.0, -np.inf), (np.nan, 90.0)])
+def test_gains_that_are_not_finite_are_refused(gains):
+    model, plant = dmptm_ctrl.Model(), dmptm_ctrl.three_dof()
+    for name, first in [("limit_cycles", model), ("margins", plant), ("close_speed_loop", plant)]:
+        with pytest.raises(
+            ValueError, match=f"^{name}: k[pi] is .*; it must be (finite|a number)$"
+        ):
+            getattr(dmptm_ctrl, name)(first, *gains)
+    for name in ("Loop", "Controller"):
+        with pytest.raises(ValueError, match=f"^{name}: k[pi] is"):
+            getattr(dmptm_ctrl, name)(*gains, 10.0)
+        with pytest.raises(ValueError, match=f"^{name}: limit is -10; it must be more than 0$"):
+            getattr(dmptm_ctrl, name)(5.0, 90.0, -10.0)
+    assert dmptm_ctrl.Loop(5.0, 90.0, np.inf).limit == np.inf  # a loop without a limit
+
+
+def test_a_refusal_says_how_to_make_what_is_wanted():
+    drive, model = dmptm_ctrl.paper_drive(), dmptm_ctrl.Model()
+    loop = dmptm_ctrl.Loop(5.0, 90.0, 10.0)
+    for call, said in [
+        (lambda: dmptm_ctrl.linearize(drive), r"not a Drive; Model\(drive\) makes one"),
+        (lambda: dmptm_ctrl.tune_pi(drive, 20.0), r"three_dof\(drive\) or nine_dof\(drive\)"),
+        (lambda: dmptm_ctrl.tune_pi(model, 20.0), r"linearize\(model\) makes one"),
+        (lambda: dmptm_ctrl.three_dof(model), r"not a Model; model\.drive is one"),
+        (lambda: dmptm_ctrl.monte_carlo(model, loop, 2), r"Controller\(kp, ki, limit, preload="),
+    ]:
+        with pytest.raises(TypeError, match=f"{said}[^\n]*$"):
+            call()
 
 
 def test_linear_models_and_pictures_refuse_other_shapes_in_one_sentence():

@@ -58,8 +58,8 @@ def test_log_info(capsys):
     assert "open_multisine_preload: 10000 samples, 9.999 s at 1000 Hz" in out
     assert "theta_ml_deg" in out
     assert "those of the dual-motor drive; so are these effects" in out
-    told, untold = out.split("Cannot identify")
-    assert "torque_constant_mismatch" in told
+    reported, untold = out.split("Cannot identify")
+    assert "torque_constant_mismatch" in reported
     assert "thermal_drift" in untold
 
 
@@ -108,21 +108,21 @@ def test_log_info_for_programs(capsys):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "message", "command"),
     [
-        (["--bogus"], "No such option"),
-        (["bogus"], "No such command 'bogus'"),
-        (["log"], "Missing command"),
-        (["log", "info"], "Missing argument"),
-        (["log", "info", "a", "b"], "unexpected extra argument"),
-        (["log", "info", "--json=3", "a"], "--json"),
+        (["--bogus"], "No such option", "dmptm"),
+        (["bogus"], "No such command 'bogus'", "dmptm"),
+        (["log"], "Missing command", "dmptm log"),
+        (["log", "info"], "Missing argument", "dmptm log info"),
+        (["log", "info", "a", "b"], "unexpected extra argument", "dmptm log info"),
+        (["log", "info", "--json=3", "a"], "--json", "dmptm"),
     ],
 )
-def test_wrong_usage(capsys, arguments, message):
+def test_wrong_usage(capsys, arguments, message, command):
     assert main(arguments) == 2
     line = one_line(capsys)
     assert message in line
-    assert line.endswith("see 'dmptm --help'.")
+    assert line.endswith(f"see '{command} --help'.")
 
 
 @pytest.mark.parametrize(

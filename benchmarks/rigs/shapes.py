@@ -334,7 +334,7 @@ def make(seed, names, folder):
 
 
 # Names of a field in a label where they are not its own.
-TOLD = {
+LABELS = {
     "lag": "time_constant_s", "delay": "delay_s", "sensor_delay": "delay_s",
     "gain_error": "share", "dead_band": "half_width_V", "quadratic": "coefficient_N_m_s2_rad2",
     "cable": "stiffness_N_m_rad", "unbalance_cos": "cos_N_m", "unbalance_sin": "sin_N_m",
@@ -345,12 +345,12 @@ TOLD = {
 def parameters(name, drive):
     """True values as the label says them."""
     p = drive.machine
-    told = {TOLD.get(f, f): getattr(p, f) for f in drive.lacking[name]}
+    labels = {LABELS.get(f, f): getattr(p, f) for f in drive.lacking[name]}
     if name == "base_vibration":
-        told["frequency_Hz"] = p.vibration_rate / (2 * np.pi)
+        labels["frequency_Hz"] = p.vibration_rate / (2 * np.pi)
     if name == "local_spot":
-        told |= {"place_deg": p.spot_place / DEG, "sigma_deg": p.spot_width / DEG}
-    return told
+        labels |= {"place_deg": p.spot_place / DEG, "sigma_deg": p.spot_width / DEG}
+    return labels
 
 
 def rig_file(rng, drive, name):

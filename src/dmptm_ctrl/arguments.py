@@ -26,6 +26,18 @@ _SAID |= {ArrayLike: "an array", Callable: "a function"}
 _ARRAY = {*get_args(ArrayLike)}
 # parameters of a size, whichever function has them
 _POSITIVE = {"sample_time", "duration", "period", "periods", "runs", "substeps", "every"}
+_FINITE = {"kp", "ki", "preload", "bias_l", "bias_r", "theta_L", "amplitude", "offset", "rms"}
+# (given, wanted) -> how the one makes the other
+_MAKES = {
+    ("Drive", "Model"): "Model(drive) makes one",
+    ("Drive", "StateSpace"): "three_dof(drive) or nine_dof(drive) makes one",
+    ("Model", "StateSpace"): "linearize(model) makes one",
+    ("RigModel", "StateSpace"): "linearize(model) makes one",
+    ("Rig", "StateSpace"): "linearize(rig) makes one",
+    ("Model", "Drive"): "model.drive is one",
+    ("Loop", "Controller"): "Controller(kp, ki, limit, preload=...) makes one from gains",
+    ("PiTuning", "Controller"): "Controller(kp, ki, limit, preload=...) makes one from gains",
+}
 _Class = TypeVar("_Class", bound=type)
 
 
@@ -67,11 +79,17 @@ def refuse_wrong_call(
             if isinstance(value, dict):
                 held = dict.fromkeys(type(entry).__name__ for entry in value.values())
                 what += f" of {' and '.join(held)}" if held else ""
-            raise TypeError(f"{name}: {key} must be {right}, not {what}")
+            pairs = [(type(value).__name__, getattr(k, "__name__", "")) for k in kinds]
+            hint = next((f"; {_MAKES[pair]}" for pair in pairs if pair in _MAKES), "")
+            raise TypeError(f"{name}: {key} must be {right}, not {what}{hint}")
         if isinstance(value, Real) and value != value:
             raise ValueError(f"{name}: {key} is NaN; it must be a number")
         if key in _POSITIVE and isinstance(value, Real) and not 0.0 < float(value) < inf:
             raise ValueError(f"{name}: {key} is {value:g}; it must be more than 0 and finite")
+        if key in _FINITE and isinstance(value, Real) and abs(float(value)) == inf:
+            raise ValueError(f"{name}: {key} is {value:g}; it must be finite")
+        if key == "limit" and isinstance(value, Real) and value <= 0:
+            raise ValueError(f"{name}: limit is {value:g}; it must be more than 0")
         if key == "seed" and value < 0:
             raise ValueError(f"{name}: seed is {value}; it must be 0 or more")
 

@@ -58,7 +58,10 @@ def _print_version(wanted: bool) -> None:
 def _main(
     context: typer.Context,
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="And exit.")
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Show the version and exit."
+        ),
     ] = False,
 ) -> None:
     if context.invoked_subcommand is None:
@@ -444,7 +447,9 @@ def _of_bad_input(error: Any) -> str | None:
     if isinstance(error, LogError):
         return str(error)
     if hasattr(error, "format_message"):  # wrong usage, as the command-line library reports it
-        return f"{str(error.format_message()).rstrip('.?')}; see 'dmptm --help'."
+        path = getattr(getattr(error, "ctx", None), "command_path", "dmptm").split()
+        command = " ".join(["dmptm", *path[1:]])  # however the program was called
+        return f"{str(error.format_message()).rstrip('.?')}; see '{command} --help'."
     return None
 
 

@@ -1,11 +1,11 @@
 """What every effect file must offer. Knows no physics.
 
-A *site* is the place in the drive where an effect acts; it fixes the signature of the
-kernel and how the runners combine several effects. All kernels are pure scalar functions,
-compiled by numba and callable from plain Python, and take their parameters `p` as the
-NamedTuple of the effect. `side` is 0 for the left motor and pinion, 1 for the right, `body` is
+A *site* is the kind of place in the drive where an effect acts; it fixes the signature of the
+kernel and how simulator, blocks and reference combine several effects. All kernels are pure
+scalar functions, compiled by numba and callable from plain Python. They take their parameters
+`p` as the NamedTuple of the effect. `side` is 0 for the left motor and pinion, 1 for the right, `body` is
 0, 1 for the reducers and 2 for the ring gear. Units are SI and radians. The `age` of a body's
-contact grows with time and falls with its slip; the runners keep it.
+contact grows with time and falls with its slip; the simulation keeps it.
 
 | site         | kernel                                              | returns                                    |
 |--------------|-----------------------------------------------------|--------------------------------------------|

@@ -69,15 +69,15 @@ def test_others_are_refused(params, said):
 
 
 def test_own_block_has_params_of_its_own():
-    """python-control hands them to ours too, which are told whose they are."""
+    """python-control hands them to our blocks too, which know whose they are."""
     own = ct.nlsys(
         None, lambda t, x, u, params: [params["gain"] * u[0]] * 2, inputs=["volts"],
         outputs=["u_left", "u_right"], params={"gain": 0.5}, name="own",
     )  # fmt: skip
 
-    def joined(**told):
+    def joined(**reported):
         return ct.interconnect(
-            [own, to_blocks(Model(), **told)], inputs=["volts"], outputs=["torque_l"],
+            [own, to_blocks(Model(), **reported)], inputs=["volts"], outputs=["torque_l"],
             check_unused=False,
         )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Nowhere to keep compiled code: not in the package, not in a home, not where numba is told."""
+"""Nowhere to keep compiled code: not in the package, not in a home, not where numba looks."""
 
 import os
 import shutil

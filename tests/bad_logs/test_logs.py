@@ -176,7 +176,7 @@ def test_warned(tmp_path, mistake):
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory):
+def warned(tmp_path_factory):
     """A diagnosis of logs with three mistakes."""
     folder = tmp_path_factory.mktemp("bad day")
     logs = {
@@ -190,12 +190,12 @@ def told(tmp_path_factory):
     return folder
 
 
-def test_warnings_are_on_stderr_and_in_the_files(told, capsys):
-    code = main(["diagnose", str(told / "logs"), "--out", str(told / "out"), "--quiet"])
+def test_warnings_are_on_stderr_and_in_the_files(warned, capsys):
+    code = main(["diagnose", str(warned / "logs"), "--out", str(warned / "out"), "--quiet"])
     out, err = capsys.readouterr()
     assert (code, out) == (0, "")
-    page = (told / "out" / "report.html").read_text(encoding="utf-8")
-    listed = json.loads((told / "out" / "diagnosis.json").read_text(encoding="utf-8"))["warnings"]
+    page = (warned / "out" / "report.html").read_text(encoding="utf-8")
+    listed = json.loads((warned / "out" / "diagnosis.json").read_text(encoding="utf-8"))["warnings"]
     for text in (
         "fast: u_left is clipped or saturated",
         "slow holds the same samples as again",

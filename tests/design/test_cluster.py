@@ -53,7 +53,7 @@ def test_a_batch_on_the_cluster(client):
     np.testing.assert_array_equal(there.rms, here.rms)
 
 
-def kill_one_at_work(client, folder, told):
+def kill_one_at_work(client, folder, victim_state):
     """Once the first chunk is kept, kill a worker that has others in hand."""
     pids = client.run(os.getpid)
     while not any(folder.glob("*[0-9].npy")):
@@ -61,20 +61,24 @@ def kill_one_at_work(client, folder, told):
     busy = {worker: len(tasks) for worker, tasks in client.processing().items() if tasks}
     victim = max(busy, key=busy.get)
     os.kill(pids[victim], signal.SIGKILL)
-    told.update(pid=pids[victim], held=busy[victim], kept=len(list(folder.glob("*[0-9].npy"))))
+    victim_state.update(
+        pid=pids[victim], held=busy[victim], kept=len(list(folder.glob("*[0-9].npy")))
+    )
 
 
 def test_a_worker_is_killed_in_the_middle(client, tmp_path):
     drive, plants = Model(), CHUNKS * CHUNK
     here = monte_carlo(drive, LOOP, plants, aims=AIMS)
-    told = {}
-    killer = threading.Thread(target=kill_one_at_work, args=(client, tmp_path, told), daemon=True)
+    victim_state = {}
+    killer = threading.Thread(
+        target=kill_one_at_work, args=(client, tmp_path, victim_state), daemon=True
+    )
     killer.start()
     with parallel_config(backend="dask"):
         there = monte_carlo(drive, LOOP, plants, aims=AIMS, folder=tmp_path)
     killer.join()
-    assert told["held"] >= 1
-    assert told["kept"] < CHUNKS
-    assert told["pid"] not in client.run(os.getpid).values()
+    assert victim_state["held"] >= 1
+    assert victim_state["kept"] < CHUNKS
+    assert victim_state["pid"] not in client.run(os.getpid).values()
     np.testing.assert_array_equal(there.errors, here.errors)
     np.testing.assert_array_equal(there.volts, here.volts)

@@ -66,7 +66,7 @@ def test_the_error_is_the_loads_not_the_sensors():
 PLANTS = np.linspace(1.0, 1.2, 20)
 
 
-def told(costs, base=1.0, bad=()):
+def cost_of(costs, base=1.0, bad=()):
     """Errors of a controller: `base`, times the cost of each part that it lacks."""
 
     def errors(tried):
@@ -83,14 +83,14 @@ def told(costs, base=1.0, bad=()):
 
 def test_a_part_that_does_harm_is_left_out():
     without = Controller(1.0, 1.0)
-    kept = what_pays(FULL, without, told({"friction": 3.0, "unbalance": 0.97}))
+    kept = what_pays(FULL, without, cost_of({"friction": 3.0, "unbalance": 0.97}))
     assert parts_of(kept) == ["inertia", "friction", "look-ahead", "drive_delay"]
-    assert what_pays(FULL, without, told({"friction": 3.0})) is FULL
+    assert what_pays(FULL, without, cost_of({"friction": 3.0})) is FULL
 
 
 def test_all_of_it_is_left_out_where_it_does_not_surely_pay():
     """It pays on 15 of 20 plants, which is not nine of ten; on 19 of them, it is."""
     without = Controller(1.0, 1.0)
     costs = {"friction": 2.0}
-    assert what_pays(FULL, without, told(costs, bad=range(5))) is without
-    assert what_pays(FULL, without, told(costs, bad=range(1))) is FULL
+    assert what_pays(FULL, without, cost_of(costs, bad=range(5))) is without
+    assert what_pays(FULL, without, cost_of(costs, bad=range(1))) is FULL

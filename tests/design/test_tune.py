@@ -152,22 +152,22 @@ def distances(model):
 def test_friction_may_build_up_later_than_the_model_says():
     """A distance that logs tell is as uncertain as one of which they tell nothing."""
     none = Model().with_effect("presliding", reducer_distance=0.0, ring_distance=0.0)
-    told = Model().with_effect("presliding", reducer_distance=1e-3, ring_distance=1e-4)
+    named = Model().with_effect("presliding", reducer_distance=1e-3, ring_distance=1e-4)
     for model in (Model(), none):
         reducer, ring = distances(model).T
         assert 0.2 < np.mean(ring == 0.0) < 0.5
         assert 0.8 * HIDDEN_DISTANCE < ring.max() <= HIDDEN_DISTANCE
         np.testing.assert_allclose(reducer, 8.25 * ring, rtol=1e-12)
-    reducer, ring = distances(told).T
+    reducer, ring = distances(named).T
     assert ring.min() < 1e-4 - 0.4 * HIDDEN_DISTANCE
     assert ring.max() > 1e-4 + 0.8 * HIDDEN_DISTANCE
     assert np.ptp(reducer) > 8.25 * HIDDEN_DISTANCE
-    assert draw_plants(told, 1, uncertainty=0.0)[0].effects == told.effects
+    assert draw_plants(named, 1, uncertainty=0.0)[0].effects == named.effects
 
 
 def test_distance_of_a_controller_adds_to_that_of_its_model():
-    told = {"reducer_distance": 1e-3, "ring_distance": 1e-4}
-    by_model = replace(BOTH, distance=0.0, model=Model().with_effect("presliding", **told))
+    named = {"reducer_distance": 1e-3, "ring_distance": 1e-4}
+    by_model = replace(BOTH, distance=0.0, model=Model().with_effect("presliding", **named))
     longer = {"reducer_distance": 1e-3 + 8.25 * 2e-5, "ring_distance": 1.2e-4}
     found = replace(by_model, distance=2e-5).law().model.effects["presliding"]
     assert {k: found[k] for k in longer} == pytest.approx(longer, rel=1e-12)

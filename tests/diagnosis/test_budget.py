@@ -125,8 +125,8 @@ def test_what_is_near_its_floor_cannot_show_what_is_explained():
 
 
 def test_entries_are_plain():
-    told = row("cogging", 0.3, None).to_dict()
-    assert told == {
+    reported = row("cogging", 0.3, None).to_dict()
+    assert reported == {
         "name": "cogging", "location": "ring gear", "speed_rms": 0.5, "torque_rms": None,
         "share": 0.3, "depends_on": ["theta_L"],
     }  # fmt: skip

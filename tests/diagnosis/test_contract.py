@@ -232,16 +232,16 @@ def test_error(found):
     error = found["error"]
     assert (error["unit"], error["bandwidth_hz"], error["on"]) == ("deg/s", 30, "held-out logs")
     for side in ("before", "after", "floor"):
-        told = error[side]
-        assert told["rmse"] == told["speed"]["rmse"] > 0.0
-        assert told["unit"] == told["speed"]["unit"] == "deg/s"
-        assert told["speed"]["bandwidth_hz"] == 30
-        assert told["torque"]["unit"] == "N·m"
-        assert told["torque"]["rmse"] > 0.0
-        assert 0.0 < told["torque"]["percent"] < 100.0
-        assert told["horizon"]["unit"] == "deg/s"
-        assert told["horizon"]["rmse"] > 0.0
-        assert told["horizon"]["seconds"] > 0.0
+        reported = error[side]
+        assert reported["rmse"] == reported["speed"]["rmse"] > 0.0
+        assert reported["unit"] == reported["speed"]["unit"] == "deg/s"
+        assert reported["speed"]["bandwidth_hz"] == 30
+        assert reported["torque"]["unit"] == "N·m"
+        assert reported["torque"]["rmse"] > 0.0
+        assert 0.0 < reported["torque"]["percent"] < 100.0
+        assert reported["horizon"]["unit"] == "deg/s"
+        assert reported["horizon"]["rmse"] > 0.0
+        assert reported["horizon"]["seconds"] > 0.0
     for side in ("before", "after"):
         speed = error[side]["speed"]
         assert speed["fit_percent"] <= 100.0
@@ -256,17 +256,17 @@ def test_error(found):
 def test_declared(found):
     drive = paper_drive()
     assert set(found["declared"]) == set(drive.free)
-    for name, told in found["declared"].items():
+    for name, reported in found["declared"].items():
         quantity = drive.quantities[name]
-        assert told["declared"] == quantity.value
-        assert told["range"] == list(quantity.range)
-        assert told["unit"] == quantity.unit
-        low, high = told["range"]
+        assert reported["declared"] == quantity.value
+        assert reported["range"] == list(quantity.range)
+        assert reported["unit"] == quantity.unit
+        low, high = reported["range"]
         edge = 1e-5 * (high - low)
-        assert low - edge <= told["fitted"] <= high + edge
-        assert told["se"] > 0.0
-        inside = low + edge < told["fitted"] < high - edge
-        assert told["outside"] is not inside
+        assert low - edge <= reported["fitted"] <= high + edge
+        assert reported["se"] > 0.0
+        inside = low + edge < reported["fitted"] < high - edge
+        assert reported["outside"] is not inside
 
 
 def test_provenance(found):
@@ -282,12 +282,12 @@ def test_provenance(found):
 
 
 def test_what_is_printed_says_no_more_than_the_budget(written):
-    told = (written / "printed.txt").read_text(encoding="utf-8")
-    assert "nothing is missing" not in told
-    assert "unbalance" in told.splitlines()[0]
+    reported = (written / "printed.txt").read_text(encoding="utf-8")
+    assert "nothing is missing" not in reported
+    assert "unbalance" in reported.splitlines()[0]
     for line in ("not explained", "floor", "speed error on held-out logs"):
-        assert line in told
-    assert "nan" not in told
+        assert line in reported
+    assert "nan" not in reported
 
 
 def run_predict(log, written, out):

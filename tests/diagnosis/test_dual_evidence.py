@@ -103,8 +103,8 @@ def test_surprise_is_the_likelihood_of_students_t(kind):
     x = 2.0 * student.rvs(FREEDOM, size=500, random_state=6)
     (s,) = scatter([x], [kind])
     top = x.size * student.logpdf(0.0, FREEDOM)
-    share = INDEPENDENT.get(kind, INDEPENDENT["chain"])
-    told = 2.0 * share * (top - student.logpdf(x, FREEDOM, scale=s).sum())
-    assert surprise([x], [kind]) == pytest.approx(told, rel=1e-9)
+    share = INDEPENDENT.get(kind, INDEPENDENT["side"])
+    reported = 2.0 * share * (top - student.logpdf(x, FREEDOM, scale=s).sum())
+    assert surprise([x], [kind]) == pytest.approx(reported, rel=1e-9)
     several = [x, 3.0 * x], [kind, "total"]
     assert surprises(*several).sum() == pytest.approx(surprise(*several), rel=1e-12)

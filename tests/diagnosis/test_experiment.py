@@ -9,9 +9,9 @@ from tests.export.test_plant import RIG
 from dmptm_ctrl.diagnosis.experiment import (
     SAMPLE_TIME,
     SECONDS,
-    apart,
     next_experiment,
     rig_experiment,
+    separation,
 )
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.diagnosis.rig_runs import Runs
@@ -81,7 +81,7 @@ def test_a_model_is_not_told_from_itself():
     model = Model()
     volts = alike(LARGEST * np.ones(500))
     one, other = (march(m, volts, rest(m, 0.0), SAMPLE_TIME) for m in (model, model))
-    assert apart(one, other, SAMPLE_TIME, True) == 0.0
+    assert separation(one, other, SAMPLE_TIME, True) == 0.0
 
 
 def test_of_a_rig_it_has_the_logs_sample_time_and_keeps_their_largest_signal():

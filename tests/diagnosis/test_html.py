@@ -264,8 +264,8 @@ def test_the_budget_is_told_row_by_row(diagnosis, page, parsed):
 def test_a_run_that_is_no_worse_without_an_effect_is_said_in_the_budget():
     diagnosis = made("explained")
     first, *others = diagnosis.budget
-    told = replace(diagnosis, budget=(replace(first, speed_rms=0.0), *others))
-    assert render(told).count(">no rise<") == 1
+    reported = replace(diagnosis, budget=(replace(first, speed_rms=0.0), *others))
+    assert render(reported).count(">no rise<") == 1
 
 
 def test_the_budget_is_drawn_as_it_is():
@@ -312,14 +312,14 @@ def test_an_effect_that_hardly_matters_is_called_so(undrawn):
 
 
 def test_the_sentence_says_what_the_budget_says(diagnosis):
-    told = diagnosis.sentence()
+    reported = diagnosis.sentence()
     assert {
         "none": "the error of its balance is 1.05 times the floor",  # √(1.1/1)
         "explained": "lacks unbalance: 94 % of the removable error; free runs miss "
         "held-out logs by",  # (10 − 1.5)/(10 − 1)
         "unknown": "Found unbalance: 56 % of the removable error. The rest is "
         "unknown; it depends on theta_L",
-    }[diagnosis.verdict] in told
+    }[diagnosis.verdict] in reported
     assert "nothing is missing" not in diagnosis.summary()
 
 
@@ -338,16 +338,16 @@ def test_a_wave_has_its_amplitude():
 def test_what_free_runs_miss_beyond_their_floor_is_unknown(times, unknown):
     diagnosis = made("explained")
     runs = Squares(9.0, times**2, 1.0)
-    told = replace(diagnosis, errors=replace(diagnosis.errors, runs=runs)).sentence()
-    assert ("The rest is unknown; free runs miss" in told) == unknown
-    assert (f"{times} times their floor" in told) == unknown
+    reported = replace(diagnosis, errors=replace(diagnosis.errors, runs=runs)).sentence()
+    assert ("The rest is unknown; free runs miss" in reported) == unknown
+    assert (f"{times} times their floor" in reported) == unknown
 
 
 def test_runs_that_miss_more_than_the_declared_model_are_said_to():
     diagnosis = made("explained")
     worse = {**diagnosis.error["after"], "rmse": 3.0 * diagnosis.error["before"]["rmse"]}
-    told = replace(diagnosis, error={**diagnosis.error, "after": worse}).sentence()
-    assert f"those of the declared model by {diagnosis.error['before']['rmse']:.3g}" in told
+    reported = replace(diagnosis, error={**diagnosis.error, "after": worse}).sentence()
+    assert f"those of the declared model by {diagnosis.error['before']['rmse']:.3g}" in reported
     assert "those of the declared model" not in diagnosis.sentence()
 
 
@@ -356,10 +356,10 @@ def test_no_doubtful_name_stands_in_the_sentence():
     diagnosis = made("explained")
     sure = diagnosis.effects[0]
     doubtful = replace(sure, name="cogging", probability=0.4)
-    told = replace(diagnosis, effects=(sure, doubtful)).sentence()
-    assert "lacks unbalance, 1 effect of uncertain name: 94 %" in told
-    assert "cogging" not in told
-    assert "cable spring" not in told  # a rival of the sure one
+    reported = replace(diagnosis, effects=(sure, doubtful)).sentence()
+    assert "lacks unbalance, 1 effect of uncertain name: 94 %" in reported
+    assert "cogging" not in reported
+    assert "cable spring" not in reported  # a rival of the sure one
     alone = replace(diagnosis, effects=(doubtful, doubtful)).sentence()
     assert "lacks 2 effects of uncertain name" in alone
 
@@ -429,7 +429,7 @@ def test_overlay_agrees_with_the_verdicts_error(diagnosis):
 
 
 def test_short_predictions_of_the_true_model_miss_nothing_but_transients():
-    """Led by its own angle the true model follows its own speed."""
+    """Kept near its own angle, the true model follows its own speed."""
     (overlay,) = made("explained").overlays()
     left = overlay.measured - overlay.ahead
     assert np.nanmedian(np.abs(left)) < 0.02 * np.std(overlay.measured)

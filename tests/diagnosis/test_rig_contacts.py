@@ -118,7 +118,7 @@ def test_a_gap_between_coarse_encoders(gap):
         half = evidence.adopt(base, one).fit.values["backlash@coupling.half_gap"]
         assert half == pytest.approx(gap, rel=0.1)
         # a twist that wanders in the gap correlates; what is left beside the gap does less
-        before, after = (fit.likelihood.news for fit in (base.fit, one.fitted[1]))
+        before, after = (fit.likelihood.independent for fit in (base.fit, one.fitted[1]))
         assert after[1] > 1.5 * before[1]
 
 
@@ -183,11 +183,11 @@ def test_a_better_model_tells_anew_when_hidden_teeth_touch():
     evidence = RigEvidence(declared, declared, 1, [log])
     base = evidence.base(State(model))
     better = evidence.base(State(model.with_effect(cable)))
-    told = [
+    reported = [
         np.mean(state.logs.motions[0].apart != right.motions[0].apart)
         for state in (base, evidence.closed(better))
     ]
-    assert told[1] < 0.1 * told[0]
+    assert reported[1] < 0.1 * reported[0]
 
 
 def test_runs_through_impacts_are_compared_by_what_is_expected():

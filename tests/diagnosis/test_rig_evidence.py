@@ -91,9 +91,9 @@ def test_predictions_confirm_friction_and_refute_a_delay_and_a_weight(rubbing):
         State(held.model.with_effect(delay), held.logs), (*state.keys, delay.key), state.fit
     )
     logs = logs_of(Bench(Machine(fc=0.03), **SMALL), rig)
-    told, helps = predictions(rig, logs, evidence.held, lambda state: state, 1)
-    assert told(base, state)  # it explains what they miss without it
-    assert not told(state, late)
+    reported, helps = predictions(rig, logs, evidence.held, lambda state: state, 1)
+    assert reported(base, state)  # it explains what they miss without it
+    assert not reported(state, late)
     assert helps(base, state) == np.inf
     assert helps(state, late) == 0.0
     true = Held(held, late.keys)  # predictions get worse without what it has

@@ -1,4 +1,4 @@
-"""The selection on linear evidence with known noise, where every step can be told by hand."""
+"""The selection on linear evidence with known noise, where every step is computed by hand."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -150,8 +150,8 @@ def test_one_effect(seed):
     (entry,) = found.entries
     # the fall of the squares by simple regression: n r² var y
     own = data.x["x3"] - data.x["x3"].mean()
-    told = float(own @ data.y) ** 2 / float(own @ own)
-    assert entry.gain == pytest.approx(told, rel=1e-9)
+    reported = float(own @ data.y) ** 2 / float(own @ own)
+    assert entry.gain == pytest.approx(reported, rel=1e-9)
     assert entry.probability > 0.99
     assert len(found.first) == len(data.x)
     assert "x3" not in {c.keys[0] for c in found.rest}
@@ -347,14 +347,14 @@ def test_what_both_parts_of_the_logs_ask_for_enters_though_one_part_asks_for_mor
 
 
 def test_amplitudes_differ_from_zero_together():
-    """The sum of two is told, their difference is not: chi-squared of two by its closed form."""
-    told, vague = 1.0, 1e4
+    """The sum of two is identified, their difference is not: chi-squared by its closed form."""
+    reported, vague = 1.0, 1e4
     turn = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2.0)
-    covariance = turn.T @ np.diag([told**2, vague**2]) @ turn
+    covariance = turn.T @ np.diag([reported**2, vague**2]) @ turn
     # of two degrees of freedom the tail beyond x is exp(-x / 2); 3 standard errors leave 0.0027
     least = np.sqrt(-2.0 * np.log(0.002699796))
     for size, there in ((1.001 * least, True), (0.999 * least, False)):
-        amplitudes = turn.T @ np.array([size * told, 0.0])
+        amplitudes = turn.T @ np.array([size * reported, 0.0])
         assert differ(amplitudes, covariance) is there
         assert np.all(np.abs(amplitudes) < 0.01 * np.sqrt(np.diag(covariance)))
     assert differ(np.array([3.001]), np.array([[1.0]]))

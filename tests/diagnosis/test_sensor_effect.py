@@ -17,7 +17,7 @@ FITTED = {"cosine": 2.63e-4, "sine": -7.7e-5}  # rad
 
 @pytest.fixture(scope="module")
 def fit():
-    """A fit in which the twist has told the ring encoder's error."""
+    """A fit in which the twist has identified the ring encoder's error."""
     model = (
         Model().with_effect("encoder_eccentricity", **FITTED).with_effect("sensor_gain", error=0.01)
     )
@@ -26,18 +26,18 @@ def fit():
 
 
 def test_a_fitted_error_of_an_encoder_is_reported_as_fitted(fit):
-    told = sensor_effect("encoder_eccentricity", SEEN, fit, 0.4)
-    assert told.material
-    told = told.parameters
+    reported = sensor_effect("encoder_eccentricity", SEEN, fit, 0.4)
+    assert reported.material
+    reported = reported.parameters
     for name, value in FITTED.items():
-        assert told[name]["value"] == pytest.approx(value, rel=1e-12)
-        assert told[name]["se"] == pytest.approx(fit.value("encoder_eccentricity", name)[1])
+        assert reported[name]["value"] == pytest.approx(value, rel=1e-12)
+        assert reported[name]["se"] == pytest.approx(fit.value("encoder_eccentricity", name)[1])
 
 
 def test_what_no_fit_tells_is_reported_as_the_sensors_tell_it(fit):
-    told = sensor_effect("sensor_gain", SEEN, fit, 0.0).parameters["error"]
-    assert (told["value"], told["se"]) == (0.01, 1e-3)
-    assert told["value"] == fit.model.effects["sensor_gain"]["error"]
+    reported = sensor_effect("sensor_gain", SEEN, fit, 0.0).parameters["error"]
+    assert (reported["value"], reported["se"]) == (0.01, 1e-3)
+    assert reported["value"] == fit.model.effects["sensor_gain"]["error"]
 
 
 @pytest.mark.parametrize("eccentric", [0.0, 3e-4])

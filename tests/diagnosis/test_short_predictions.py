@@ -15,7 +15,7 @@ from dmptm_ctrl.diagnosis.residual import of_windows, predicting, residual
 from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.diagnosis.short_predictions import with_short_predictions
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.identify.observer_driven import Led
+from dmptm_ctrl.identify.observer_driven import ObserverRun
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -57,7 +57,7 @@ def test_runs_that_go_together_miss_what_each_misses():
     measured, base = fitted(())
     model = base.left.base.model
     models = [model, model.with_effect("unbalance", cosine=2.0, sine=0.0)]
-    one = Led(measured.fit[0])
+    one = ObserverRun(measured.fit[0])
     together = one.missing_of(models)
     apart = np.array([one.missing(m) for m in models])
     assert np.quantile(np.abs(together - apart), 0.9) < 1e-3 * np.std(apart[1] - apart[0])
@@ -68,9 +68,9 @@ def test_a_fitted_drive_predicts_as_well_as_the_true_one():
     measured, base = fitted((), spread=0.0)
     left = predicting(base.left)
     parts = zip(left.base.parts, left.balance.kinds, strict=True)
-    ours = usual([part for part, kind in parts if kind == "led"])
-    true = usual([Led(rec).missing(Model(paper_drive())) for rec in measured.fit])
-    gyro = np.deg2rad(0.05) / np.sqrt(Led(measured.fit[0]).block)
+    ours = usual([part for part, kind in parts if kind == "observer"])
+    true = usual([ObserverRun(rec).missing(Model(paper_drive())) for rec in measured.fit])
+    gyro = np.deg2rad(0.05) / np.sqrt(ObserverRun(measured.fit[0]).block)
     assert gyro < true < 2.0 * gyro
     assert ours < 1.05 * true
 
@@ -96,5 +96,5 @@ def test_balances_alone_keep_what_they_do_not_see():
         left.base.jacobian,
     )
     back = of_windows(left)
-    assert not back.balance.led
+    assert not back.balance.observer_driven
     assert back.base.model.effects["presliding"]["ring_distance"] == 1e-4

@@ -36,8 +36,8 @@ def waves(traced, function):
 
 def test_gains_of_pairs_are_those_of_regressions(traced):
     pairs = waves(traced, np.cos), waves(traced, np.sin)
-    told = pair_gains(traced, *pairs)
-    for k, gain in enumerate(told):
+    reported = pair_gains(traced, *pairs)
+    for k, gain in enumerate(reported):
         whole = np.zeros((traced.base.weights.size, 2))
         whole[traced.totals] = np.column_stack([pair[:, k] for pair in pairs])
         g = traced.project(whole)

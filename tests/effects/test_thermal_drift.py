@@ -14,8 +14,8 @@ CHANGE = 3.0  # N·m·s/rad over a log
 @pytest.mark.parametrize("seconds", [5.0, 40.0])
 def test_viscous_friction_changes_alike_over_any_log_and_keeps_its_mean(seconds):
     model = Model().with_effect("thermal_drift", viscous_change=CHANGE, time_constant=3.0)
-    told = model.over(seconds).effects["thermal_drift"]
-    p = THERMAL_DRIFT.values(rise=0.0, ring_extra=0.0, **told)
+    reported = model.over(seconds).effects["thermal_drift"]
+    p = THERMAL_DRIFT.values(rise=0.0, ring_extra=0.0, **reported)
     times = np.linspace(0.0, seconds, 11)
     added = [thermal_factor(0.0, -2.0, t, 0.0, 2, p)[1] for t in times]
     assert added[-1] - added[0] == pytest.approx(2.0 * CHANGE)

@@ -127,7 +127,7 @@ def test_without_the_columns_of_the_meshes_the_rest_is_the_same(name):
 
 @pytest.mark.parametrize("name", [None, "reducer_compliance", "drive_delay", "cogging"])
 def test_observer(name):
-    """As the diagnosis uses it: led by a measured angle, each lane by its own."""
+    """As the diagnosis uses it: with a measured angle, each lane by its own."""
     model = Model() if name is None else Model().with_effect(name, **visible(name))
     models = [model.with_values(c=c) for c in (1.0, 2.0, 3.0, 5.0, 8.0)]
     u = voltages(1.2, 12.0, 0.15)

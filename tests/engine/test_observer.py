@@ -1,4 +1,4 @@
-"""Runs led by measurements: any plant, any sensors, against a linear observer of SciPy's."""
+"""Runs corrected by measurements: any plant, any sensors, against a linear observer of SciPy's."""
 
 from types import SimpleNamespace
 
@@ -67,7 +67,7 @@ def linear():
     return both[:4, :4], both[:4, 4]
 
 
-def led(plant, observer, measured, begun=None, u=U):
+def observer_run(plant, observer, measured, begun=None, u=U):
     if begun is None:
         count = plant.inertia.size
         begun = start_state(structure_for(plant), np.zeros(count), np.full(count, 0.3))
@@ -78,7 +78,7 @@ def test_luenberger_s_observer():
     """Two sensors, gains on all states: x⁺ = A (x + K (y − C x)) + b u."""
     plant = plant_of()
     gains = np.array([[0.2, 0.0], [0.05, 0.1], [3.0, 0.1], [0.5, 0.2]])
-    found = led(plant, Observer(np.array([0, 1]), gains, np.ones(2)), MEASURED)
+    found = observer_run(plant, Observer(np.array([0, 1]), gains, np.ones(2)), MEASURED)
     a, b = linear()
     c = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0]])
     x, rows = np.array([0.0, 0.0, 0.3, 0.3]), []
@@ -104,7 +104,7 @@ def by_hand(gain, seen):
 def test_a_slow_lead_is_an_observer_of_the_drifting_run(bandwidth_hz):
     """Of a train that turns freely: gains along the rigid mode, by hand."""
     plant, (angle, speed) = plant_of(), observer_gains(bandwidth_hz, DT)
-    found = led(plant, rigid_observer(plant, 2, (angle, speed)), MEASURED[:1])
+    found = observer_run(plant, rigid_observer(plant, 2, (angle, speed)), MEASURED[:1])
     mode = np.array([3.0, 1.0])
     rows = by_hand(np.concatenate([angle * mode, speed * mode]), 1)
     missed = np.abs(found.readings - rows).max(axis=0)
@@ -114,7 +114,7 @@ def test_a_slow_lead_is_an_observer_of_the_drifting_run(bandwidth_hz):
 def test_a_speed_leads_the_speed_alone():
     """By its first gain, and each miss is forgotten: x⁺ = A (x + K (y − C x)) + b u."""
     plant, gains = plant_of(), observer_gains(5.0, DT)
-    found = led(plant, rigid_observer(plant, 1, gains), MEASURED[:1])
+    found = observer_run(plant, rigid_observer(plant, 1, gains), MEASURED[:1])
     rows = by_hand(gains[0] * np.array([0.0, 0.0, 3.0, 1.0]), 3)
     missed = np.abs(found.readings - rows).max(axis=0)
     assert np.all(missed < 1e-4 * np.abs(rows).max(axis=0)), missed
@@ -140,7 +140,7 @@ def test_what_rests_stays_at_rest():
     plant = plant_of(friction="coulomb = 0.5\nstatic = 5.0\nstribeck_speed = 0.5")
     begun = start_state(structure_for(plant), np.zeros(2), np.zeros(2))
     observer = rigid_observer(plant, 2, observer_gains(5.0, DT))
-    found = led(plant, observer, np.full((1, N), 1e-3), begun, np.zeros((1, N)))
+    found = observer_run(plant, observer, np.full((1, N), 1e-3), begun, np.zeros((1, N)))
     np.testing.assert_array_equal(found.v[:, 1], 0.0)
     assert found.readings[-1, 2] == pytest.approx(1e-3, abs=1e-8)
 
@@ -148,7 +148,7 @@ def test_what_rests_stays_at_rest():
 def test_a_late_angle_is_followed_where_it_is_read():
     """The angle of two samples ago: its miss moves what is still to be read, too."""
     plant = plant_of(late=2e-3)
-    run = led(plant, rigid_observer(plant, 0, (1.0, 0.0)), np.full((1, N), 0.7))
+    run = observer_run(plant, rigid_observer(plant, 0, (1.0, 0.0)), np.full((1, N), 0.7))
     assert np.abs(run.readings[10:, 0] - 0.7).max() < 0.05  # what it turns in a sample
 
 
@@ -164,5 +164,5 @@ def test_lanes_are_led_alike(late):
     models = [SimpleNamespace(plant=lambda p=p: p) for p in plants]
     runs, _ = run_many(models, starts, common, observers=observers)
     for plant, observer, measured, run in zip(plants, observers, own, runs, strict=True):
-        expected = led(plant, observer, measured).readings.T
+        expected = observer_run(plant, observer, measured).readings.T
         np.testing.assert_allclose(run, expected, atol=1e-9)

@@ -66,28 +66,28 @@ PARTS = {
 }
 
 
-def visible(chain):
-    if chain.name in SIZES:
-        return SIZES[chain.name]
+def visible(entry):
+    if entry.name in SIZES:
+        return SIZES[entry.name]
     return {
         p.name: d if p.bank else 0.1 * min(p.high, 1.0)
-        for p, d in zip(chain.keep, chain.defaults, strict=True)
+        for p, d in zip(entry.keep, entry.defaults, strict=True)
     }
 
 
-def reads(chain, part):
+def reads(entry, part):
     """An effect on the reading of an angle is none on that of a speed."""
     angle = part == "far"
-    return not (chain.name == "encoder_eccentricity" and not angle) and not (
-        chain.name == "sensor_gain" and angle
+    return not (entry.name == "encoder_eccentricity" and not angle) and not (
+        entry.name == "sensor_gain" and angle
     )
 
 
 CASES = {
-    f"{chain.name}@{part}": Placed(chain.name, part, visible(chain))
-    for chain in PLACED_CATALOGUE.values()
-    for part in PARTS[chain.place]
-    if reads(chain, part)
+    f"{entry.name}@{part}": Placed(entry.name, part, visible(entry))
+    for entry in PLACED_CATALOGUE.values()
+    for part in PARTS[entry.place]
+    if reads(entry, part)
 }
 
 
@@ -154,8 +154,8 @@ ADDITIVE = [c for c in CASES if CASES[c].name not in ("backlash", "shaft_complia
 @pytest.mark.parametrize("case", ADDITIVE)
 def test_at_zero_amplitude_nothing_changes(case, plain):
     placed = CASES[case]
-    chain = PLACED_CATALOGUE[placed.name]
-    absent = dict(zip((p.name for p in chain.keep), chain.defaults, strict=True))
+    entry = PLACED_CATALOGUE[placed.name]
+    absent = dict(zip((p.name for p in entry.keep), entry.defaults, strict=True))
     model = RigModel(RIG, (placed._replace(values=absent),))
     run = seen(march(model, U, DT, substeps=SUBSTEPS))
     assert apart(run, plain).max() < 1e-9

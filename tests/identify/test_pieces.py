@@ -113,7 +113,7 @@ def test_numbers_of_the_pieces_are_those_of_the_whole(whole):
 
 def test_a_drift_over_a_long_log_is_found(monkeypatch):
     monkeypatch.setattr("dmptm_ctrl.diagnosis.rig_diagnose.SAMPLES", 20_000)
-    told = diagnose_rig([moved(120.0)], RIG, jobs=1)
-    assert any("of 119.996 s, 10 pieces of 4 s each are fitted" in w for w in told.warnings)
-    assert [e.name for e in told.effects] == ["thermal_drift"]
-    assert told.verdict == "explained"
+    reported = diagnose_rig([moved(120.0)], RIG, jobs=1)
+    assert any("of 119.996 s, 10 pieces of 4 s each are fitted" in w for w in reported.warnings)
+    assert [e.name for e in reported.effects] == ["thermal_drift"]
+    assert reported.verdict == "explained"

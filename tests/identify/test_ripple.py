@@ -102,16 +102,16 @@ def test_scan_is_the_regression(cogging):
 
 def test_names_it_without_motor_encoders(cogging):
     left, label = cogging
-    told = label["effect_parameters"]["cogging"]
+    reported = label["effect_parameters"]["cogging"]
     evidence, base = DualEvidence(left.measured), DualState(left)
     (found,) = evidence.candidates(base, [key_of("cogging")])
     assert found.acceptable
     after = evidence.closed(evidence.adopt(base, found))
     values = after.left.base.model.effects["cogging"]
-    assert values["order"] == told["order"]
-    side = told["location"]
+    assert values["order"] == reported["order"]
+    side = reported["location"]
     size = np.hypot(values[f"{side}_cosine"], values[f"{side}_sine"])
-    assert size == pytest.approx(told["amplitude_N_m"], rel=0.3)
+    assert size == pytest.approx(reported["amplitude_N_m"], rel=0.3)
     # nothing else lives on what it leaves
     others = ("base_vibration", "back_emf", "torque_constant_mismatch", "drive_delay")
     assert not any(c.acceptable for c in evidence.candidates(after, list(map(key_of, others))))

@@ -1,4 +1,4 @@
-"""The meshes' damping of rigs of another program is told by how strongly they rattle."""
+"""The meshes' damping of rigs of another program is identified by how strongly they chatter."""
 
 import numpy as np
 import pytest
@@ -64,8 +64,8 @@ def test_a_closed_loop_is_told_by_the_voltages():
     """They follow from the speed reading, noise and all; those of an open loop do not."""
     rig = make_rig(904, friction="karnopp", contact="two_state", sensors="all", logs=LOGS)
     logs = [load_log(table, name=name) for name, table in rig.logs.items()]
-    told = {log.name: fed_back(record(log, paper_drive())) for log in logs}
-    assert told == {name: name.startswith("closed") for name in LOGS}
+    reported = {log.name: fed_back(record(log, paper_drive())) for log in logs}
+    assert reported == {name: name.startswith("closed") for name in LOGS}
 
 
 def test_noise_is_taken_from_the_quietest_windows_without_bias():

@@ -90,16 +90,20 @@ def test_errors_of_a_prediction_are_in_the_unit_of_the_sensor():
         'unit = "counts"\ncounts_per_rev = 4096\n[sensor.tacho]\ncolumn = "w"\nunit = "rpm"\n'
     )
     table = pd.DataFrame({"n": [1.0, 2.0], "w": [3.0, 4.0]})
-    told = errors_text(RigModel(parse_rig(text)), table, {"n": np.array([0.0, 3.0])})
-    assert told.splitlines() == [
+    text_of_rig = errors_text(RigModel(parse_rig(text)), table, {"n": np.array([0.0, 3.0])})
+    assert text_of_rig.splitlines() == [
         f"n: rms error {2 * np.pi / 4096:.3g} rad against the log",
         "w: in rpm, not in the log",
     ]
-    told = errors_text(
-        Model(), pd.DataFrame({"omega_L_deg_s": [2.0]}), {"omega_L_deg_s": np.ones(1)}
+    time = np.arange(2000) * 1e-3
+    fast = np.sqrt(2.0) * np.sin(2.0 * np.pi * 200.0 * time)  # above the report's band
+    table = pd.DataFrame({"time_s": time, "omega_L_deg_s": 2.0 + 0.75 * fast})
+    text = errors_text(Model(), table, {"omega_L_deg_s": np.ones(2000)})
+    (slow,) = re.findall(
+        r"omega_L_deg_s: rms error 1.25 deg/s against the log, (\S+) below 30", text
     )
-    assert "omega_L_deg_s: rms error 1 deg/s against the log" in told
-    assert "theta_ml_deg: in deg, not in the log" in told
+    assert float(slow) == pytest.approx(1.0, abs=0.01)
+    assert "theta_ml_deg: in deg, not in the log" in text
 
 
 def test_a_prediction_that_runs_away_is_refused(bench, tmp_path, capsys):

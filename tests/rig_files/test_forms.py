@@ -223,13 +223,13 @@ def test_what_is_like_another_is_one_number_with_it():
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "reported"),
     [
         ('like = "left"', 'like = "top"', "top"),
         ('like = "left"', 'like = "right"', "right"),
         ("[body.table]\ninertia = 0.01", '[body.table]\nlike = "right"', "like another itself"),
     ],
 )
-def test_what_is_like_nothing_is_refused(old, new, told):
-    with pytest.raises(LogError, match=told):
+def test_what_is_like_nothing_is_refused(old, new, reported):
+    with pytest.raises(LogError, match=reported):
         parse_rig(LIKE.replace(old, new))

@@ -39,11 +39,11 @@ def test_modes(rig):
 
 def test_linear_model(rig):
     """Same response from both voltages to both readings."""
-    chain = linearize(RigModel(rig))
+    linear = linearize(RigModel(rig))
     built_in = three_dof_ss(outputs=("theta_L", "omega_L"))
     for hertz in (0.1, 5.0, 60.4, 231.0, 900.0):
         s = 2j * np.pi * hertz
-        assert chain(s) == pytest.approx(built_in(s), rel=1e-7)  # condition of the states
+        assert linear(s) == pytest.approx(built_in(s), rel=1e-7)  # condition of the states
 
 
 def test_motion_with_gaps_and_friction(rig):

@@ -88,21 +88,21 @@ def test_every_key_of_the_contract_is_there(found):
 
 def test_speed_error_is_that_of_predictions_below_the_band(found, logs):
     """From `predict`, filtered here, on the tenths of each log that nothing was fitted to."""
-    told = found.error["after"]["speed"]
+    reported = found.error["after"]["speed"]
     seen, run = [], []
     for log in logs:
-        sos = butter(4, told["bandwidth_hz"], fs=1 / log.sample_time, output="sos")
+        sos = butter(4, reported["bandwidth_hz"], fs=1 / log.sample_time, output="sos")
         held = np.isin(np.arange(len(log)) * 10 // len(log), (2, 5, 8))
         pad = int(
-            np.ceil(3.0 / (told["bandwidth_hz"] * log.sample_time))
+            np.ceil(3.0 / (reported["bandwidth_hz"] * log.sample_time))
         )  # periods beyond the ends
         seen.append(sosfiltfilt(sos, log["out_speed"], padlen=pad)[held])
         run.append(sosfiltfilt(sos, predict(found.augmented, log)["w"], padlen=pad)[held])
     seen, run = np.concatenate(seen), np.concatenate(run)
     rmse = np.sqrt(np.mean((seen - run) ** 2))
-    assert told["rmse"] == pytest.approx(rmse, rel=1e-6)
-    assert told["fit_percent"] == pytest.approx(100 * (1 - rmse / np.std(seen)), rel=1e-6)
-    assert told["pearson_r"] == pytest.approx(np.corrcoef(seen, run)[0, 1], rel=1e-6)
+    assert reported["rmse"] == pytest.approx(rmse, rel=1e-6)
+    assert reported["fit_percent"] == pytest.approx(100 * (1 - rmse / np.std(seen)), rel=1e-6)
+    assert reported["pearson_r"] == pytest.approx(np.corrcoef(seen, run)[0, 1], rel=1e-6)
 
 
 def test_where_only_a_position_is_measured_its_rate_counts():

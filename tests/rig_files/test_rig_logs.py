@@ -150,8 +150,8 @@ held_out = ["*_c.csv", "run_x"]
 ignore = ["run_d", "*.bak"]
 start = { "run_a.csv" = "100 ms", run_y = 1 }
 """
-    rig, told = parse_rig(RIG + more), []
-    logs = rig.read(tmp_path, notes=told)
+    rig, reported = parse_rig(RIG + more), []
+    logs = rig.read(tmp_path, notes=reported)
     assert [log.name for log in logs] == ["run_a", "run_b", "run_c"]
     assert [len(log) for log in logs] == [100, 200, 200]
     assert rig.roles(["run_a", "run_b", "run_c"]) == {
@@ -160,7 +160,7 @@ start = { "run_a.csv" = "100 ms", run_y = 1 }
         "run_c": "held-out",
     }
     there = "which fits no log; there are 'run_a', 'run_b', 'run_c'"
-    assert told == [
+    assert reported == [
         f"[data] ignore names '*.bak', {there}",
         f"[data] held_out names 'run_x', {there}",
         f"[data] start names 'run_y', {there}",

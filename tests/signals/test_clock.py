@@ -15,7 +15,7 @@ def reordered(columns, order):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "told"),
+    ("spoil", "reported"),
     [
         (lambda c: reordered(c, slice(None, None, -1)), "sorted by time"),
         (lambda c: reordered(c, np.r_[0:50, 49, 50:1999]), "repeated rows dropped: 1"),
@@ -27,11 +27,11 @@ def reordered(columns, order):
     ],
     ids=["reversed", "repeated", "gap", "jitter"],
 )
-def test_uneven_time_is_mended_and_told(columns, write_csv, spoil, told):
+def test_uneven_time_is_mended_and_told(columns, write_csv, spoil, reported):
     even, log = load_log(write_csv(columns)), load_log(write_csv(spoil(columns)))
     np.testing.assert_allclose(log.time, even.time[: len(log)], rtol=2e-5, atol=1e-9)
     np.testing.assert_allclose(log["theta_L"], even["theta_L"][: len(log)], atol=1e-4)
-    assert any(told in warning for warning in log.warnings)
+    assert any(reported in warning for warning in log.warnings)
 
 
 def test_time_steps_that_no_drive_has(columns, write_csv):

@@ -46,7 +46,7 @@ def test_unwrapped(bits, signed, lacking):
     if signed:
         read = np.where(read >= size // 2, read - size + lacking, read)
     values, note = unwrapped_counts("q", read)
-    # one count less per turn is not told from the counter's own size
+    # one count less per turn cannot be separated from the counter's own size
     np.testing.assert_allclose(values - values[0], true - true[0], rtol=0, atol=7 * lacking)
     assert f"{bits} bit counter" in note
 

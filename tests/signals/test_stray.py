@@ -64,11 +64,11 @@ def folder(tmp_path, files, logs=("run_a", "run_b")):
 
 
 def test_stray_files_are_left_out(tmp_path):
-    told = []
-    logs = parse_rig(RIG.format(unit="N m")).read(folder(tmp_path, STRAY | SILENT), notes=told)
+    reported = []
+    logs = parse_rig(RIG.format(unit="N m")).read(folder(tmp_path, STRAY | SILENT), notes=reported)
     assert [log.name for log in logs] == ["run_a", "run_b"]
-    assert all(t.startswith("left out: ") for t in told)
-    assert sorted(t.split()[2].rstrip(":") for t in told) == sorted(STRAY)
+    assert all(t.startswith("left out: ") for t in reported)
+    assert sorted(t.split()[2].rstrip(":") for t in reported) == sorted(STRAY)
 
 
 @pytest.mark.parametrize("name", ["run.xls", "run.bak", "run.m", "run"])
@@ -106,9 +106,11 @@ def test_nothing_but_stray_files_is_one_sentence(tmp_path, capsys):
 
 def test_ignored_files_are_not_even_opened(tmp_path):
     a_rig = parse_rig(RIG.format(unit="N m") + 'ignore = ["notes*", "aborted.csv"]\n')
-    told = []
-    a_rig.read(folder(tmp_path, {k: STRAY[k] for k in ("notes.txt", "aborted.csv")}), notes=told)
-    assert told == []
+    reported = []
+    a_rig.read(
+        folder(tmp_path, {k: STRAY[k] for k in ("notes.txt", "aborted.csv")}), notes=reported
+    )
+    assert reported == []
 
 
 @pytest.mark.parametrize("unit", ["1", "percent", "PWM", "counts", "V", "N m"])

@@ -107,6 +107,9 @@ def without_rigid_angle(sys: ct.StateSpace) -> ct.StateSpace:
 def close_speed_loop(plant: ct.StateSpace, kp: float, ki: float) -> ct.StateSpace:
     """Close the PI loop of Fig. 15 around a linear drive.
 
+    The loop is continuous: it has no delay of sampling, which ``margins`` and ``tune_pi`` count.
+    An unstable loop is returned like any other; its poles or ``margins`` show it.
+
     Parameters
     ----------
     plant : StateSpace

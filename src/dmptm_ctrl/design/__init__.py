@@ -1,1 +1,1 @@
-"""Controllers designed and judged on the nonlinear model."""
+"""Controllers designed and evaluated on the nonlinear model."""

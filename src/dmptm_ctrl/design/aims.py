@@ -17,7 +17,7 @@ from dmptm_ctrl.simulate.rig_model import RigModel
 LOST = 1e3  # deg/s, error of a run that left the finite numbers
 GYRO = 0.05 * DEG  # rad/s rms, noise of the speed reading the loop is tuned with
 HIGHEST_HZ = 60.0
-EVERY = 4  # samples, one of which is judged
+EVERY = 4  # samples, one of which counts
 
 
 @refusing
@@ -37,7 +37,7 @@ class Aims:
         Largest that a setpoint asks for; steps are fed forward with this.
     duty : Duty
         ``dmptm_ctrl.design.duty.Duty(reference, sample_time, settling)``: the setpoint over time
-        [rad/s], its samples [s], and how long at the start is not judged [s]. By default 9 s of
+        [rad/s], its samples [s], and how long at the start does not count [s]. By default 9 s of
         sines, ramps and rests.
     noise : float [rad/s]
         Standard deviation of the speed reading.

@@ -33,7 +33,7 @@ class Simulated(NamedTuple):
 
     hz: float  # strongest line in the spectrum of z
     amplitude: float  # of the ring-gear speed, √2 times its rms [rad/s]
-    twist: float  # half the peak-to-peak of z, of the chain that moves most [rad]
+    twist: float  # half the peak-to-peak of z, of the side that moves most [rad]
 
 
 class Run(NamedTuple):
@@ -69,7 +69,7 @@ def run_cycles(balance: Balance, cycles: Sequence[Cycle]) -> list[Run]:
             outputs=["omega_L", "z_l", "z_r"], substeps=SUBSTEPS, jobs=1,
         )  # fmt: skip
         ends = runs.outputs[:, :, -round(WATCHED / dt) :]
-        return [_measured(end[0], end[1 : 1 + balance.chains], dt) for end in ends]
+        return [_measured(end[0], end[1 : 1 + balance.sides], dt) for end in ends]
 
 
 def _measured(speed: Floats, z: Floats, dt: float) -> Run:

@@ -83,7 +83,7 @@ def _paired(names: list[str]) -> list[tuple[str, str]]:
 
 
 def hidden_distance(model: AnyModel) -> float:
-    """Distance of the controlled body over which friction may build up unseen [rad or m]."""
+    """Distance [rad or m] over which friction may build up without a sensor that shows it."""
     if not isinstance(model, RigModel):
         return HIDDEN_DISTANCE
     body = model.rig.sensors[loop_parts(model)[1]].body

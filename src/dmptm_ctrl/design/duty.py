@@ -1,4 +1,4 @@
-"""Setpoints that a controller is tuned for and judged on."""
+"""Setpoints that a controller is tuned for and evaluated on."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ class Duty(NamedTuple):
 
     reference: Floats  # (n,) [rad/s]
     sample_time: float = 1e-3  # s
-    settling: float = 0.0  # s at the start, not judged: the preload closes the gaps after power-on
+    settling: float = 0.0  # s at the start, not counted: the preload closes the gaps after power-on
 
     @property
     def time(self) -> Floats:
@@ -52,7 +52,7 @@ FASTEST = 15 * DEG  # rad/s, of the usual duty
 def usual_duty(sample_time: float = 1e-3, speed: float = FASTEST) -> Duty:
     """Return what controllers are tuned for by default, 9 s.
 
-    A rest that is not judged, the paper's closed-loop sines (10 deg/s at 0.5 Hz, 15 deg/s at
+    A rest that does not count, the paper's closed-loop sines (10 deg/s at 0.5 Hz, 15 deg/s at
     1 Hz), a slow trapezoid, a rest and a start of a slow sine. With another `speed` [rad/s or m/s]
     as the largest all are larger or smaller alike.
     """

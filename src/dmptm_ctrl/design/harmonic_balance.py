@@ -9,7 +9,7 @@ Per harmonic k of a frequency ω, with the sampled PI C, its hold H and the loop
 V, Z_s, W_s are harmonics of the ring's speed, of z_s and of the pinions' speed under a
 setpoint of 0; T_s, F_s, F_L those of the kernels' torques along them (alternating frequency
 and time), B_s the preload. The integral holds the mean error at zero with whatever mean voltage
-that takes. Where both chains are alike m = 1 stands for both.
+that takes. Where both sides are alike m = 1 stands for both.
 
 Dry friction is set-valued at rest. With p the torque that the other terms ask of it,
 F = min(p + r ω, level) (and its mirror image) says both "rests: F = p" and "slides: F = level"
@@ -127,7 +127,7 @@ class Balance:
         alike = abs(laws[0].half_gap - laws[1].half_gap) < SAME_GAP and preload == 0.0
         self.meshes: list[Backlash] = laws[: 1 if alike else 2]
         self._bias = (preload, -preload)
-        self._share = 2.0 / len(self.meshes)  # chains that each of them stands for
+        self._share = 2.0 / len(self.meshes)  # sides that each of them stands for
         self._reducer, self._bearing = parts.laws[0], parts.laws[RING]
         self._n2, self._volt = drive["N_2"], volt_at_pinion(drive)
         self._pinion, self._ring = pinion_inertia(drive), drive["J_L"]
@@ -139,7 +139,7 @@ class Balance:
         self._torque = self.meshes[0].stiffness * self.length  # N·m, scale of what is left over
 
     @property
-    def chains(self) -> int:
+    def sides(self) -> int:
         """Chains that differ, 1 or 2."""
         return len(self.meshes)
 
@@ -160,10 +160,10 @@ class Balance:
     def equations(self, x: Floats, n: int) -> tuple[Floats, Floats]:
         """Return left-over torques over a usual torque, and their derivatives.
 
-        x: z of each chain over `length`, ring speed without its mean, mean voltage, log ω; the
+        x: z of each side over `length`, ring speed without its mean, mean voltage, log ω; the
         phase is fixed by the first sine part of the first z.
         """
-        size, chains = 2 * n + 1, self.chains
+        size, sides = 2 * n + 1, self.sides
         w = self._frequency(x[-1])
         rates = block(1j * w * np.arange(n + 1))
 
@@ -178,8 +178,8 @@ class Balance:
             rate.slope[:, -1] += rate.value
             return rate
 
-        ring = unknown(chains * size, 2 * n, 1.0, 1)
-        volts = self._volts(ring, w, n) + unknown(chains * size + 2 * n, 1, 1.0, 0)
+        ring = unknown(sides * size, 2 * n, 1.0, 1)
+        volts = self._volts(ring, w, n) + unknown(sides * size + 2 * n, 1, 1.0, 0)
         ring_rate = rate_of(ring)
         load = ring_rate.times(-self._ring)
         left = []
@@ -201,7 +201,7 @@ class Balance:
 
     def guess(self, z: complex, omega: float, ring: Floats) -> Cycle:
         """Return a start: each z [rad] at its first harmonic, no mean; `ring` is packed."""
-        return Cycle(omega, np.tile(packed_first(z), (self.chains, 1)), ring, 0.0, 1.0)
+        return Cycle(omega, np.tile(packed_first(z), (self.sides, 1)), ring, 0.0, 1.0)
 
     def free_ring(self, amplitude: float, omega: float) -> Floats:
         """Return the ring's speed, packed, for z = amplitude · cos ωt and no dry friction."""
@@ -247,7 +247,7 @@ class Balance:
         limits = {"maxiter": most, "ftol": STOP, "xtol": STOP, "gtol": STOP}
         options = {**limits, "diag": np.ones(x.size)}
         found = root(self.equations, x, (n,), "lm", jac=True, options=options)
-        size, m = 2 * n + 1, self.chains
+        size, m = 2 * n + 1, self.sides
         z = found.x[: m * size].reshape(m, size) * self.length
         ring = np.append(0.0, found.x[m * size : m * size + 2 * n])
         w = self._frequency(found.x[-1])

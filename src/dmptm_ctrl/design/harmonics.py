@@ -79,7 +79,7 @@ class Cycle(NamedTuple):
 
     @property
     def twist(self) -> float:
-        """Half the peak-to-peak of z, the largest of the chains [rad]."""
+        """Half the peak-to-peak of z, the largest of the sides [rad]."""
         waves = [Basis.of(part.size // 2).wave(part) for part in self.z]
         return float(max(0.5 * np.ptp(wave) for wave in waves))
 

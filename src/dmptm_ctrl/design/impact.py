@@ -146,17 +146,17 @@ def _along(
     run = close_loop(model, controller, duty.time, duty.reference, theta_L=theta_L)
     inputs, sensor = loop_parts(model, controller.input, controller.sensor)
     u = run.outputs[-len(inputs_of(model)) :][list(inputs)]
-    judged = slice(round(duty.settling / duty.sample_time), None)
+    settled = slice(round(duty.settling / duty.sample_time), None)
     speeds = speed_read(model, run.outputs[sensor], duty.sample_time, sensor)
-    omega, ref, asked = speeds[judged], duty.reference[judged], ASKED * top
-    miss = missed(model, duty, run.outputs[sensor], sensor=sensor)[judged] / size
+    omega, ref, asked = speeds[settled], duty.reference[settled], ASKED * top
+    miss = missed(model, duty, run.outputs[sensor], sensor=sensor)[settled] / size
     rows[f"tracking error rms, {unit}"] = float(np.sqrt(np.mean(miss**2)))
     rows[f"tracking error max, {unit}"] = float(np.abs(miss).max())
     reversals = max(int(np.sum(np.diff(np.sign(ref[np.abs(ref) > asked])) != 0)), 1)
     stuck = np.sum((np.abs(omega) < STUCK) & (np.abs(ref) > asked))
     rows["sticking per reversal, ms"] = 1e3 * float(stuck) * duty.sample_time / reversals
     signal = "voltage" if volt == "V" else "signal"
-    rows[f"{signal} rms, {volt}"] = float(np.sqrt(np.mean(u[:, judged] ** 2)))
+    rows[f"{signal} rms, {volt}"] = float(np.sqrt(np.mean(u[:, settled] ** 2)))
     step = check_loop(model, controller, SLOW_STEP * top, sample_time=duty.sample_time)
     cycle = f"limit cycle at {SLOW_STEP * top / size:g} {unit}, {unit}"
     rows[cycle] = step.limit_cycle_amplitude / size

@@ -38,7 +38,7 @@ class LimitCycle(NamedTuple):
 
     hz: float  # predicted, of the strongest harmonic of z
     amplitude: float  # predicted; of the ring-gear speed, √2 times its rms [rad/s]
-    twist: float  # predicted; half the peak-to-peak of z, of the chain that moves most [rad]
+    twist: float  # predicted; half the peak-to-peak of z, of the side that moves most [rad]
     # lasting oscillation that is nearest, or where a run from here ends
     simulated: Simulated | None = None
     seeded: bool = False  # whether the balance had to start from a simulated wave
@@ -93,7 +93,7 @@ def limit_cycles(
     Raises
     ------
     ValueError
-        An effect that depends on angle or time.
+        An effect that depends on angle or time, or gains that are not finite.
 
     Examples
     --------

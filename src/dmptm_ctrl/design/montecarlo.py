@@ -76,7 +76,7 @@ def monte_carlo(
         Processes, by default 1; under ``joblib.parallel_config(backend="dask")`` the same call
         runs on a cluster, and a worker that dies costs only the time of its chunks.
     folder : path, optional
-        Keeps each finished chunk; the same call goes on where it stopped.
+        Keeps each finished chunk; the same call continues where it stopped.
 
     Returns
     -------

@@ -89,7 +89,9 @@ def smallest_preload(model: Model, duty: Duty, theta_L: float = 0.0) -> float:
 class Preload(NamedTuple):
     """A duty under one preload; errors and torques are rms."""
 
-    open_share: float  # of the judged time with a mesh that carries nothing or has left its side
+    open_share: (
+        float  # of the time after settling with a mesh that carries nothing or has left its side
+    )
     error: float  # deg/s
     torque: float  # of a motor [N·m]
     friction: float  # mean that the preload adds in both reducers, at the pinions [N·m]
@@ -117,10 +119,10 @@ def assess_bias(model: Model, controller: Controller, duty: Duty, bias: ArrayLik
 
 
 def _assessed(model: Model, duty: Duty, u: Floats, out: Floats, way: float) -> Preload:
-    judged = slice(round(duty.settling / duty.sample_time), None)
-    left, right = out[judged, 4], out[judged, 5]
+    settled = slice(round(duty.settling / duty.sample_time), None)
+    left, right = out[settled, 4], out[settled, 5]
     opened = (way * left <= 0.0) | (way * right >= 0.0)
-    miss = np.rad2deg(out[judged, 1] - duty.reference[judged])
+    miss = np.rad2deg(out[settled, 1] - duty.reference[settled])
     parts, friction = Parts(model.plant()), 0.0
     for side, mesh in ((0, left), (1, right)):
         mean = float(np.abs(mesh).mean())
@@ -129,9 +131,9 @@ def _assessed(model: Model, duty: Duty, u: Floats, out: Floats, way: float) -> P
     return Preload(
         float(opened.mean()),
         float(np.sqrt(np.mean(miss**2))),
-        float(model.drive["K_d"] * model.drive["K_M"] * np.sqrt(np.mean(u[:, judged] ** 2))),
+        float(model.drive["K_d"] * model.drive["K_M"] * np.sqrt(np.mean(u[:, settled] ** 2))),
         float(friction),
-        float(np.sqrt(np.mean(miss[_reversing(duty)[judged]] ** 2))),
+        float(np.sqrt(np.mean(miss[_reversing(duty)[settled]] ** 2))),
     )
 
 

@@ -31,7 +31,7 @@ from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.rig_model import RigModel
 
-SEARCHED = 16  # plants in the search; the result is judged on many more
+SEARCHED = 16  # plants in the search; the result is evaluated on many more
 RESERVE = 1.6  # gain up to which no drawn plant may start to hammer: 4 dB on the nonlinear drive
 TOLERATED = 1.5  # error at that gain, over the error at the gain itself
 # of the distance over which friction may build up hidden
@@ -89,11 +89,11 @@ class Tuned:
     def summary(self) -> str:
         """Return the stages as a text."""
         volt, rad = self.controller.units
-        title, largest = f"rms error [{self.unit}]", f"largest {volt}"
-        lines = [f"{title:28s}{'median':>9s}{'90 %':>9s}{'worst':>9s}{largest:>11s}"]
+        title, largest = f"rms error [{self.unit}] on drawn plants", f"largest {volt}"
+        lines = [f"{title:34s}{'median':>9s}{'90 %':>9s}{'worst':>9s}{largest:>11s}"]
         for row in self.stages:
             lines.append(
-                f"{row['stage']:28s}{row['rmse_median']:9.3g}{row['rmse_quantile']:9.3g}"
+                f"{row['stage']:34s}{row['rmse_median']:9.3g}{row['rmse_quantile']:9.3g}"
                 f"{row['rmse_worst']:9.3g}{row['voltage_max']:11.3g}"
             )
         g = self.controller
@@ -101,8 +101,8 @@ class Tuned:
         lines += [
             "",
             f"kp {g.kp:.4g} {volt}/({rad}/s), ki {g.ki:.4g} {volt}/{rad}{preload}, "
-            f"{g.friction:.0%} of the friction fed forward, built up over {1e6 * g.distance:.0f} "
-            f"µ{rad}, look-ahead {1e3 * g.lead:.2f} ms",
+            f"{g.friction:.0%} of the friction fed forward, rising over {1e6 * g.distance:.0f} "
+            f"µ{rad} of motion, look-ahead {1e3 * g.lead:.2f} ms",
             *(f"notch at {n.hz:.1f} Hz, depth {n.depth:g}, width {n.width:g}" for n in g.notches),
             f"linear start: bandwidth {self.linear.bandwidth_hz:.1f} Hz, "
             f"phase margin {self.linear.phase_margin_deg:.0f} deg, "
@@ -112,10 +112,11 @@ class Tuned:
         least, most = OPTIMISM[isinstance(self.controller.model, RigModel)]
         lines.append(
             f"the compensation takes off {median:.0%} of the error; on nine of ten plants at "
-            f"least {sure:.0%}; drives it was tried on gained {least} to {most} points less"
+            f"least {sure:.0%}; on drives of an independent program it was {least} to {most} "
+            "points less"
         )
         lines += [
-            f"  by {name}: {median:.0%}, at least {sure:.0%}"
+            f"  by {name}: {round(median, 2) + 0.0:.0%}, at least {round(sure, 2) + 0.0:.0%}"
             for name, median, sure in self.parts.itertuples()
         ]
         if self.reference is not None:
@@ -181,7 +182,7 @@ def tune_controller(
         Share of the declared ranges that plants are drawn from: 1 for a declared model, 0.25
         for one fitted to logs.
     plants : int
-        Drawn to judge the result.
+        Drawn to evaluate the result.
     seed : int
     jobs : int
         Threads, −1 for one per core; or tasks on any joblib backend.
@@ -216,11 +217,11 @@ def tune_controller(
         plant = linear_plant(level(model))
     start = fastest_pi(plant, **aims.linear())
     search = _Search(model, aims, plant, start, uncertainty, seed, jobs, (input, sensor))
-    judged = draw_plants(model, plants, uncertainty=uncertainty, seed=seed + 1)
+    validation = draw_plants(model, plants, uncertainty=uncertainty, seed=seed + 1)
     stages: list[dict[str, Any]] = []
     errors = np.empty(0)
     for name, controller in search.stages():
-        errors, volts = tracking(controller, judged, aims, seed=seed + 2, jobs=jobs)
+        errors, volts = tracking(controller, validation, aims, seed=seed + 2, jobs=jobs)
         stages.append(
             {
                 "stage": name,
@@ -237,7 +238,7 @@ def tune_controller(
     except ArithmeticError:
         reference = None
     best = stages[-1]["controller"]
-    parts = predicted_parts(best, judged[:SEARCHED], aims, seed=seed + 2, jobs=jobs)
+    parts = predicted_parts(best, validation[:SEARCHED], aims, seed=seed + 2, jobs=jobs)
     return Tuned(best, start, reference, stages, errors, aims, parts)
 
 

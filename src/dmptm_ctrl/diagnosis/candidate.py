@@ -68,7 +68,7 @@ class Candidate:
     gain, held_gain : float
         Fall of −2 log-likelihood on the fitted and on the held-out logs.
     fitted : object
-        What the evidence needs to go on from here.
+        What the evidence needs to continue from here.
     objection : str
         Why the fitted values are impossible; empty where they are not.
     numbers : int

@@ -103,7 +103,7 @@ def slew(mo: Motion) -> Floats:
 
 
 def load_of(mo: Motion) -> Floats:
-    """Mesh torque of each chain [N·m], (2, n), of the model that the motion was prepared with."""
+    """Mesh torque of each side [N·m], (2, n), of the model that the motion was prepared with."""
     plant = mo.declared.plant()
     return evened(carried(plant, mo.rec.u, frictions(mo, plant)), mo.rec.dt, CARRIED_SECONDS)
 
@@ -233,7 +233,7 @@ def signs(kind: str, rows: Sequence[Floats], used: np.ndarray) -> Floats:
 def curves(left: Residual) -> list[Curve]:
     """Evidence of every curve beside the model of `left`, best first."""
     scale = scale_of(left.balance.motions)
-    fitted, judged = groups_of(left.balance, scale), groups_of(left.held, scale)
+    fitted, held = groups_of(left.balance, scale), groups_of(left.held, scale)
     base = left.base
     w = base.weights
     held_parts = left.held.missing(base.model)
@@ -260,7 +260,7 @@ def curves(left: Residual) -> list[Curve]:
         evidence = gain + held_gain - price
         return Curve(group.variables, evidence, held_gain, group.order)
 
-    found = in_threads(curve_of, list(zip(fitted, judged, strict=True)), left.balance.jobs)
+    found = in_threads(curve_of, list(zip(fitted, held, strict=True)), left.balance.jobs)
     return sorted(found, key=lambda c: -c.evidence)
 
 

@@ -109,7 +109,7 @@ def on_all_logs(measured: Measured, left: Residual, after: Fit, declared: Drive,
     base = left.base
     try:
         balance, done = closed(everything, base.model, Model(measured.drive), base.unknowns, jobs)
-        done = predicting_fit(replace(balance, led=True), done)
+        done = predicting_fit(replace(balance, observer_driven=True), done)
     except LogError:  # no window may be left where the fitted model decides which pinions touch
         return after
     return with_chatter(everything, done, declared, jobs)

@@ -209,7 +209,7 @@ class DualEvidence:
 
     def adopt(self, state: DualState, candidate: Candidate) -> DualState:
         fit, balance = candidate.fitted[0].fit, state.left.balance
-        if balance.led:
+        if balance.observer_driven:
             done = predicting_fit(balance, fit)
         else:
             done = settled_fit(balance, fit.model, fit.unknowns, fit.jacobian)
@@ -228,7 +228,7 @@ class DualEvidence:
         kept = [j for j, k in enumerate(base.unknowns) if k.effect != name]
         unknowns = tuple(base.unknowns[j] for j in kept)
         model, derivatives = base.model.without([name]), base.jacobian[:, kept]
-        fitted = fit_balance if state.left.balance.led else settled_fit
+        fitted = fit_balance if state.left.balance.observer_driven else settled_fit
         fit = fitted(state.left.balance, model, unknowns, jacobian=derivatives)
         left = replace(state.left, base=fit)
         return DualState(left, tuple(k for k in state.keys if k != key))

@@ -2,7 +2,7 @@
 
 The residual that is folded is chosen by where the effect acts: the reading of the speed
 sensor for sensors, the twist of the left pinion for meshes (with motor encoders), else the
-torque at the ring gear that the model lacks. That torque is read off an observer: led by
+torque at the ring gear that the model lacks. That torque is read off an observer: driven by
 the measured angle with bandwidth ω0 the model lags by an angle e and a speed v behind a torque
 T = J ω0² e + B v that it does not know.
 """
@@ -52,13 +52,13 @@ def folded(source: "DualSource", name: str, unexplained: tuple[str, ...]) -> Evi
     variable = quantity = ""
     for rec in records:
         speed = low_pass(rec.omega, rec.dt)
-        news = min(1.0, rec.dt * 2.0 * np.pi * OBSERVER_HZ)  # closer samples count as one
+        share = min(1.0, rec.dt * 2.0 * np.pi * OBSERVER_HZ)  # closer samples count as one
         for rows, model in zip(sides, (without, after), strict=True):
             run = predict(rec, model, OBSERVER_HZ)
             x, variable = abscissa(on, rec, run, model, effect, values)
             y, keep, quantity = left_over(rec, run, model, effect)
             keep = keep & (np.abs(speed) > SLOWEST)
-            rows.append((x[keep], y[keep], np.sign(speed[keep]), news))
+            rows.append((x[keep], y[keep], np.sign(speed[keep]), share))
     return fold(sides[0], sides[1], variable, quantity, name if effect else "")
 
 

@@ -19,7 +19,7 @@ from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.compared_signals import low_pass
 from dmptm_ctrl.identify.fit import Fit
-from dmptm_ctrl.identify.observer_driven import Led
+from dmptm_ctrl.identify.observer_driven import ObserverRun
 from dmptm_ctrl.simulate.model import Model
 
 if TYPE_CHECKING:
@@ -90,9 +90,9 @@ class DualSource:
             new = np.rad2deg(speeds(after, log)[1])
             push = low_pass(0.5 * (log["u_left"] + log["u_right"]), log.sample_time)
             held = np.ones(seen.size, bool)
-            led = Led(records[log.name])
+            one = ObserverRun(records[log.name])
             ahead = np.full(seen.size, np.nan)
-            missing = np.repeat(np.rad2deg(led.missing(after)), led.block)
+            missing = np.repeat(np.rad2deg(one.missing(after)), one.block)
             ahead[: missing.size] = seen[: missing.size] - missing
             done.append(Overlay(log.name, log.time, seen, old, new, held, push, ahead=ahead))
         return done
@@ -133,7 +133,10 @@ def named(entry: Entry, after: Fit, share: float) -> NamedEffect:
     )
     if entry.rivals:
         second = entry.rivals[0]
-        sentence += f"; in its place {name_of(second.keys[0])} would give {second.evidence:.0f}"
+        sentence += (
+            f"; the best rival in its place, {name_of(second.keys[0])}, makes it fall by "
+            f"{second.evidence:.0f} on both together"
+        )
     return NamedEffect(
         effect.name,
         effect.location,

@@ -129,7 +129,7 @@ class Experiment:
         }
 
 
-def apart(one: Floats, other: Floats, dt: float, twist: bool) -> float:
+def separation(one: Floats, other: Floats, dt: float, twist: bool) -> float:
     """Expected log-likelihood ratio times two between two models, from runs on the same voltages.
 
     Columns as of :func:`~dmptm_ctrl.simulate.compiled.march`.
@@ -137,8 +137,8 @@ def apart(one: Floats, other: Floats, dt: float, twist: bool) -> float:
     misses = [low_pass(one[:, 1] - other[:, 1], dt) / SPEED_FLOOR]
     if twist:
         misses += [(one[:, k] - other[:, k]) / TWIST_FLOOR for k in (6, 7)]
-    news = len(one) * dt / LASTING
-    return float(sum(news * np.mean(np.minimum(np.abs(m), BENT) ** 2) for m in misses))
+    independent = len(one) * dt / LASTING
+    return float(sum(independent * np.mean(np.minimum(np.abs(m), BENT) ** 2) for m in misses))
 
 
 def _contested(selection: Selection) -> tuple[Entry, list[Candidate]] | None:
@@ -236,7 +236,7 @@ def next_experiment(selection: Selection, measured: Measured, jobs: int = 1) -> 
     def worth(task: Task) -> float:
         volts, dt = task
         own, *others = (march(m, volts, rest(m, 0.0), dt) for m in models.values())
-        return min(apart(own, other, dt, twist) for other in others)
+        return min(separation(own, other, dt, twist) for other in others)
 
     signals = {name: largest * np.array(wave(time)) for name, (_, wave) in SIGNALS.items()}
     for volts in signals.values():

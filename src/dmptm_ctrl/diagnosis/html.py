@@ -23,7 +23,8 @@ BALANCED = "the balance shows no lack"  # runs are far above their floor all the
 READ_EVIDENCE = (
     "Points are means over bins, bars ± 2 standard errors; what stands still is left out. A curve "
     "that stands off zero by many bars without the effect, and lies on zero with it, speaks for "
-    "the effect. The same sign in both directions of motion is a torque of place or drive; "
+    "the effect. Without it the rest is refitted, so the level of a curve may be shifted; its "
+    "shape counts. The same sign in both directions of motion is a torque of place or drive; "
     "opposite signs are friction."
 )
 READ_NOTHING = (

@@ -127,13 +127,13 @@ class Chatter:
     def derivatives(self, model: Model, others: Sequence[Unknown], sigmas: Floats) -> Floats:
         """Relative change of the damping, per unit of others, that leaves the power as it is."""
         value = model.drive[DAMPING]
-        apart = np.maximum(sigmas, APART)
+        spreads = np.maximum(sigmas, APART)
         ends = [model.with_values(**{DAMPING: value * (1.0 + x)}) for x in (STEP, -STEP)]
-        for k, d in zip(others, apart, strict=True):
+        for k, d in zip(others, spreads, strict=True):
             here, by = model.drive[k.name], k.scale * d
             ends += [model.with_values(**{k.name: here + x}) for x in (by, -by)]
         off = self.ratios(ends)  # all at once: they fill the lanes
-        own, *rows = (off[::2] - off[1::2]) / np.array([STEP, *apart])[:, None]
+        own, *rows = (off[::2] - off[1::2]) / np.array([STEP, *spreads])[:, None]
         return np.array([-(own @ row) / (own @ own) for row in rows])
 
 

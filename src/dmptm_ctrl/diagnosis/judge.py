@@ -11,7 +11,7 @@ from dmptm_ctrl.diagnosis.candidate import name_of
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.negligible import material_together
-from dmptm_ctrl.diagnosis.predict import apart, free_run, speed_error, twin_steps
+from dmptm_ctrl.diagnosis.predict import free_run, rms_excess, speed_error, twin_steps
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.diagnosis.tables import Tables
@@ -21,7 +21,7 @@ from dmptm_ctrl.identify.balance import scatter
 from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ, low_pass, noise_below
 from dmptm_ctrl.identify.fit import Fit, place
 from dmptm_ctrl.identify.heavy_tails import bent
-from dmptm_ctrl.identify.observer_driven import BLOCK_SECONDS, MEMORY_SECONDS, Led
+from dmptm_ctrl.identify.observer_driven import BLOCK_SECONDS, MEMORY_SECONDS, ObserverRun
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -127,8 +127,8 @@ def judge(
     ]
     rows += [sensor_row(name, augmented.model, speed, logs, jobs) for name in fixed]
     left = (
-        apart(speed["after"]["rmse"], speed["floor"]["rmse"]),
-        apart(torque["after"]["rmse"], torque["floor"]["rmse"]),
+        rms_excess(speed["after"]["rmse"], speed["floor"]["rmse"]),
+        rms_excess(torque["after"]["rmse"], torque["floor"]["rmse"]),
     )
     depends_on = rest.variables if rest is not None else ()
     closed = closed_rows(
@@ -209,7 +209,9 @@ def torque_error(left: Residual) -> dict[str, float]:
 
 def horizon(model: Model, records: Sequence[Record], jobs: int) -> float:
     """Root mean square of what short predictions miss of the speed, in blocks [deg/s]."""
-    rows = in_threads(lambda rec: Led(rec).missing(model), records, jobs, lambda r: r.omega.size)
+    rows = in_threads(
+        lambda rec: ObserverRun(rec).missing(model), records, jobs, lambda r: r.omega.size
+    )
     return float(np.rad2deg(np.sqrt(np.mean(np.square(np.concatenate(rows))))))
 
 
@@ -234,7 +236,7 @@ def scatters(twins: Sequence[Model], measured: Measured, jobs: int) -> tuple[flo
         return spread([low_pass(run, log.sample_time) for run in runs])
 
     def short(rec: Record) -> tuple[float, int]:
-        return spread(Led(rec).missing_of(twins))
+        return spread(ObserverRun(rec).missing_of(twins))
 
     def spread(runs: Any) -> tuple[float, int]:
         return float(np.sum(np.var(runs, axis=0, ddof=1))), len(runs[0])
@@ -276,14 +278,14 @@ def effect_row(
     name = name_of(key)
     effect = CATALOGUE[name]
     left = on_rows_of(final.left, without.left)
-    torque = apart(torque_error(left)["rmse"], torque_error(final.left)["rmse"])
+    torque = rms_excess(torque_error(left)["rmse"], torque_error(final.left)["rmse"])
     damping = {k: augmented.model.drive[k] for k in ("c", "c_f")}
     model = left.base.model.with_values(**damping)
     slower = speed_error(model, measured.held_logs, jobs)["rmse"]
     return Row(
         name,
         effect.location,
-        apart(slower, speed["after"]["rmse"]),
+        rms_excess(slower, speed["after"]["rmse"]),
         torque,
         min(max(lacked(without, final, errors, scale), 0.0), 1.0),
         effect.depends_on,
@@ -294,7 +296,9 @@ def sensor_row(
     name: str, model: Model, speed: Mapping[str, Mapping[str, float]], logs: Any, jobs: int
 ) -> Row:
     """What the error of the readings rises by without an error of a sensor."""
-    lost = apart(speed_error(model.without([name]), logs, jobs)["rmse"], speed["after"]["rmse"])
+    lost = rms_excess(
+        speed_error(model.without([name]), logs, jobs)["rmse"], speed["after"]["rmse"]
+    )
     span = speed["before"]["rmse"] ** 2 - speed["floor"]["rmse"] ** 2
     share = min(lost**2 / span, 1.0) if span > 0.0 else 0.0
     return Row(name, CATALOGUE[name].location, lost, None, share, CATALOGUE[name].depends_on)

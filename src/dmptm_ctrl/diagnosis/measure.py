@@ -19,7 +19,7 @@ class Measured:
     Attributes
     ----------
     fit, held : tuples of Record
-        Fitted on, and judged on: other amplitudes of the same kinds of experiment.
+        Fitted on, and tested on: other amplitudes of the same kinds of experiment.
     drive : Drive
         The declared model.
     """

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from dmptm_ctrl.drive.rig import Rig
-from dmptm_ctrl.identify.compared_signals import agreement, low_pass
+from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ, agreement, low_pass
 from dmptm_ctrl.identify.records import RING_COUNT, true_angle
 from dmptm_ctrl.identify.rig_simulate import SPREAD, TWINS, readings
 from dmptm_ctrl.identify.rig_simulate import free_run as rig_free_run
@@ -43,7 +43,7 @@ def twin_steps(covariance: Floats) -> list[Floats]:
     return [root @ rng.standard_normal(values.size) for _ in range(TWINS)]
 
 
-def apart(one: float, other: float) -> float:
+def rms_excess(one: float, other: float) -> float:
     """Root of a difference of squares, not below nothing."""
     return float(np.sqrt(max(one**2 - other**2, 0.0)))
 
@@ -160,6 +160,7 @@ def measured(model: Model | RigModel, log: Log) -> dict[str, Floats]:
 def errors_text(model: Model | RigModel, table: pd.DataFrame, seen: Mapping[str, Floats]) -> str:
     """Return a line per predicted sensor: its unit, and its rms error where the log has it.
 
+    That of the ring gear's speed stands also below the bandwidth of a report's errors.
     `seen` are the columns that the log has, see :func:`measured`.
     """
     units = {
@@ -172,9 +173,16 @@ def errors_text(model: Model | RigModel, table: pd.DataFrame, seen: Mapping[str,
         text = f"in {unit if scale == 1.0 else f'{scale:.6g} {unit}'}, not in the log"
         if column in seen:
             miss = scale * (table[column].to_numpy() - seen[column])
-            text = f"rms error {float(np.sqrt(np.mean(miss**2))):.3g} {unit} against the log"
+            text = f"rms error {_rms(miss):.3g} {unit} against the log"
+            if column == DUAL_COLUMNS["omega_L"] and not isinstance(model, RigModel):
+                step = float(table["time_s"].diff().median())
+                text += f", {_rms(low_pass(miss, step)):.3g} below {BANDWIDTH_HZ:.0f} Hz"
         lines.append(f"{column}: {text}")
     return "\n".join(lines)
+
+
+def _rms(miss: Floats) -> float:
+    return float(np.sqrt(np.mean(miss**2)))
 
 
 def _predict_rig(model: RigModel, log: Log) -> pd.DataFrame:

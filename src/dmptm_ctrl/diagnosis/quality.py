@@ -128,13 +128,13 @@ def binned(rows: Sequence[Rows], edges: Floats) -> dict[str, Curve]:
     """Mean and standard error per bin and direction."""
     curves = {}
     x, y, way = (np.concatenate([row[i] for row in rows]) for i in range(3))
-    news = np.concatenate([np.full(row[0].size, row[3]) for row in rows])
+    shares = np.concatenate([np.full(row[0].size, row[3]) for row in rows])
     place = np.digitize(x, edges) - 1
     for direction, sign in (("forward", 1.0), ("backward", -1.0)):
         centres, means, errors = [], [], []
         for i in range(edges.size - 1):
             inside = (place == i) & (way == sign)
-            count = float(news[inside].sum())
+            count = float(shares[inside].sum())
             if count >= MIN_INDEPENDENT:
                 centres.append(0.5 * (edges[i] + edges[i + 1]))
                 means.append(float(y[inside].mean()))

@@ -118,6 +118,13 @@ class Diagnosis:
     provenance : dict
     experiment : Experiment or None
         That would separate an effect from what it may be confused with.
+
+    Examples
+    --------
+    >>> found = dm.diagnose("logs")
+    >>> for row in found.budget:
+    ...     print(row.name, row.location, row.share)
+    >>> plant = found.augmented.to_blocks()
     """
 
     verdict: str

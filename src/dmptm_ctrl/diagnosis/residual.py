@@ -60,7 +60,7 @@ class Residual:
     def fast(self) -> "Residual":
         """The same, judged by what is faster than windows besides.
 
-        With motor encoders the chains' own balances show more, and nothing is added.
+        With motor encoders the sides' own balances show more, and nothing is added.
         """
         if self.balance.fast or not self.balance.simulated:
             return self
@@ -76,7 +76,7 @@ class Residual:
 
 def predicting(left: Residual) -> Residual:
     """Count short predictions beside the balances, and fit again."""
-    balance, held = (replace(one, led=True) for one in (left.balance, left.held))
+    balance, held = (replace(one, observer_driven=True) for one in (left.balance, left.held))
     return replace(left, balance=balance, held=held, base=predicting_fit(balance, left.base))
 
 
@@ -98,9 +98,9 @@ def predicting_fit(balance: Balance, base: BalanceFit) -> BalanceFit:
 def _covariance(base: BalanceFit) -> Floats:
     """Covariance by the balances alone, of what they see.
 
-    How a run goes on after an impact depends steeply on every parameter, and identifies none.
+    How a run continues after an impact depends steeply on every parameter, and identifies none.
     """
-    count = sum(kind != "led" for kind in base.kinds)
+    count = sum(kind != "observer" for kind in base.kinds)
     parts, kinds = base.parts[:count], base.kinds[:count]
     derivatives = base.jacobian[: sum(map(len, parts))]
     rows = weights(parts, kinds)[:, None] * derivatives
@@ -119,9 +119,9 @@ def seen(rows: Floats, unknowns: Sequence[Unknown]) -> list[bool]:
 
 def of_windows(left: Residual) -> Residual:
     """Fit to the balances alone what they see; what they do not see stays as it is."""
-    if not left.balance.led:
+    if not left.balance.observer_driven:
         return left
-    balance, held = (replace(one, led=False) for one in (left.balance, left.held))
+    balance, held = (replace(one, observer_driven=False) for one in (left.balance, left.held))
     model, unknowns = left.base.model, left.base.unknowns
     parts = balance.missing(model)
     derivatives = columns(balance, model, unknowns, np.concatenate(parts))

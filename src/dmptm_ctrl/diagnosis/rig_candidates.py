@@ -62,41 +62,41 @@ def trials(tangent: Tangent, only: Sequence[str] | None = None) -> list[Trial]:
     present = {e.key for e in model.effects}
     found: list[Trial | None] = []
 
-    def wanted(chain: PlacedEffect, places: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    def wanted(entry: PlacedEffect, places: Sequence[str]) -> Iterator[tuple[str, ...]]:
         """Each place, and those of one make together."""
-        for on in (*((place,) for place in places), *makes(model, chain, places)):
-            key = f"{chain.name}@{JOINED.join(on)}"
+        for on in (*((place,) for place in places), *makes(model, entry, places)):
+            key = f"{entry.name}@{JOINED.join(on)}"
             if present.isdisjoint(members(key)) and (only is None or key in only):
                 yield on
 
-    for chain in PLACED_CATALOGUE.values():
-        if chain.place == "input" and chain.stands_in(model.rig):
-            for on in wanted(chain, model.layout.inputs):
-                found.append(_input_effect(tangent, chain, on))
-    for name, chain in PLACED_CATALOGUE.items():
-        if chain.place != "body" or name == SPRING:
+    for entry in PLACED_CATALOGUE.values():
+        if entry.place == "input" and entry.stands_in(model.rig):
+            for on in wanted(entry, model.layout.inputs):
+                found.append(_input_effect(tangent, entry, on))
+    for name, entry in PLACED_CATALOGUE.items():
+        if entry.place != "body" or name == SPRING:
             continue
-        bodies = bodies_for(tangent, chain)
-        for on in wanted(chain, [b for b in bodies if not declared_already(model, name, b)]):
-            found.append(_body_effect(tangent, chain, on))
-    for chain in (c for c in PLACED_CATALOGUE.values() if c.site == "mesh"):
-        for on in wanted(chain, [k.name for k in model.rig.links]):
-            found.append(_mesh_effect(tangent, chain, on))
+        bodies = bodies_for(tangent, entry)
+        for on in wanted(entry, [b for b in bodies if not declared_already(model, name, b)]):
+            found.append(_body_effect(tangent, entry, on))
+    for entry in (c for c in PLACED_CATALOGUE.values() if c.site == "mesh"):
+        for on in wanted(entry, [k.name for k in model.rig.links]):
+            found.append(_mesh_effect(tangent, entry, on))
     return [t for t in found if t is not None]
 
 
-def makes(model: RigModel, chain: PlacedEffect, places: Sequence[str]) -> Iterator[tuple[str, ...]]:
+def makes(model: RigModel, entry: PlacedEffect, places: Sequence[str]) -> Iterator[tuple[str, ...]]:
     """Places of one make that may have an effect together, and all whose friction may change so.
 
     Where each has a phase of its own, they must move by themselves.
     """
-    factor = chain.place == "body" and not chain.effect.wave and _factors(chain)
+    factor = entry.place == "body" and not entry.effect.wave and _factors(entry)
     rubbing = tuple(b.name for b in model.rig.bodies if factor and _rubs(model, b.name))
-    known = places if chain.of_make else ()
+    known = places if entry.of_make else ()
     alike = (tuple(p for p in model.rig.alike(place) if p in places) for place in known)
     for group in dict.fromkeys((rubbing, *alike)):
         moving = {model.layout.coordinate.get(p, p) for p in group}
-        if len(group) > 1 and (not chain.own or len(moving) == len(group)):
+        if len(group) > 1 and (not entry.own or len(moving) == len(group)):
             yield group
 
 
@@ -122,7 +122,7 @@ def declared_already(model: RigModel, name: str, body: str) -> bool:
     return any(k in friction for k in DECLARES.get(name, ()))
 
 
-def bodies_for(tangent: Tangent, chain: PlacedEffect) -> list[str]:
+def bodies_for(tangent: Tangent, entry: PlacedEffect) -> list[str]:
     """Bodies at which an effect is identified: of a rigid group the one that it can act on.
 
     Friction under load acts where links end, what scales friction where there is some, and what
@@ -132,8 +132,8 @@ def bodies_for(tangent: Tangent, chain: PlacedEffect) -> list[str]:
     model = tangent.fit.model
     layout, ends = model.layout, {b for k in model.rig.links for b in (k.first, k.second)}
     driven = {*layout.input_body.values()}
-    under_load = chain.by_load
-    if chain.effect.wave and not chain.effect.search and not _factors(chain):
+    under_load = entry.by_load
+    if entry.effect.wave and not entry.effect.search and not _factors(entry):
         turns = {(layout.coordinate[b], abs(layout.ratio[b])): b for b in reversed(layout.bodies)}
         return [*turns.values()][::-1]
     found = []
@@ -143,104 +143,104 @@ def bodies_for(tangent: Tangent, chain: PlacedEffect) -> list[str]:
         group.sort(key=lambda b: b != seen)
         if under_load:
             found += [b for b in group if b in ends and _rubs(model, b)] or [seen]
-        elif chain.site == "presliding" or _factors(chain):
+        elif entry.site == "presliding" or _factors(entry):
             found.append(next((b for b in group if _rubs(model, b)), seen))
-        elif chain.site == "motor" and chain.effect.wave:
+        elif entry.site == "motor" and entry.effect.wave:
             found.append(next((b for b in group if b in driven), seen))
         else:
             found.append(seen)
     return found
 
 
-def _factors(chain: PlacedEffect) -> list[Parameter]:
+def _factors(entry: PlacedEffect) -> list[Parameter]:
     """Amplitudes that scale the friction which is there."""
-    return [p for p in chain.keep if p.name in chain.amplitudes and not p.unit]
+    return [p for p in entry.keep if p.name in entry.amplitudes and not p.unit]
 
 
-def _input_effect(tangent: Tangent, chain: PlacedEffect, on: tuple[str, ...]) -> Trial | None:
+def _input_effect(tangent: Tangent, entry: PlacedEffect, on: tuple[str, ...]) -> Trial | None:
     scales = scales_of(tangent.balance)
     size, dt = scales.u[on[0]], scales.dt
-    (number,) = chain.amplitudes
-    if chain.effect.search == "limits":
+    (number,) = entry.amplitudes
+    if entry.effect.search == "limits":
         sent = np.concatenate([np.abs(m.u[p]) for m in tangent.balance.motions for p in on])
         values = [1.0 / (s * p) for p in np.quantile(sent, PEAKS) if p > 0 for s in LIMITS]
-    elif chain.keep[0].unit == "s":
+    elif entry.keep[0].unit == "s":
         values = [d * dt for d in DELAYS if d * dt <= LONGEST_DELAY]
-    elif chain.effect.kink:
+    elif entry.effect.kink:
         values = [s * size for s in BANDS]
     else:
         values = [OFFSET * size]
-    tries = [placed_at(chain.name, on, {number: v}) for v in values]
-    return _finite(tangent, tries, scaled=not chain.effect.kink)
+    tries = [placed_at(entry.name, on, {number: v}) for v in values]
+    return _finite(tangent, tries, scaled=not entry.effect.kink)
 
 
-def _body_effect(tangent: Tangent, chain: PlacedEffect, on: tuple[str, ...]) -> Trial | None:
+def _body_effect(tangent: Tangent, entry: PlacedEffect, on: tuple[str, ...]) -> Trial | None:
     model, balance, body = tangent.fit.model, tangent.balance, on[0]
-    name, slide = chain.name, on_slide(model, body)
+    name, slide = entry.name, on_slide(model, body)
     if name == STRIBECK_FRICTION.name and not _rubs(model, body, (COULOMB_FRICTION.name,)):
         return None  # it is what breakaway exceeds Coulomb friction by
-    factors = _factors(chain)
-    slow = chain.site == "presliding"
-    own = (slow or factors) and not chain.by_load
+    factors = _factors(entry)
+    slow = entry.site == "presliding"
+    own = (slow or factors) and not entry.by_load
     if own and not _rubs(model, body):
         return None
     if slow:
         travel = scales_of(balance).position
-        (number,) = chain.amplitudes
+        (number,) = entry.amplitudes
         return _finite(tangent, [placed_at(name, on, {number: s * travel}) for s in SIZES])
-    shapes = _shapes(tangent, chain, body)
+    shapes = _shapes(tangent, entry, body)
     if factors:
         first = {factors[0].name: factors[0].step}
         return _finite(tangent, [placed_at(name, on, first | one) for one in shapes], scaled=True)
-    if not chain.effect.wave:
-        return _linear(tangent, chain, on, shapes)
-    if slide and not chain.effect.search:
-        if chain.site != "friction":
+    if not entry.effect.wave:
+        return _linear(tangent, entry, on, shapes)
+    if slide and not entry.effect.search:
+        if entry.site != "friction":
             return None  # the way of a slide has no turns
-        return _linear(tangent, chain, on, [{}], ("sine",))  # a slope along it
+        return _linear(tangent, entry, on, [{}], ("sine",))  # a slope along it
     same = absolute(model, balance, body)
-    return _linear(tangent, chain, on, shapes, ("cosine", "sine"), same)
+    return _linear(tangent, entry, on, shapes, ("cosine", "sine"), same)
 
 
-def _mesh_effect(tangent: Tangent, chain: PlacedEffect, on: tuple[str, ...]) -> Trial | None:
+def _mesh_effect(tangent: Tangent, entry: PlacedEffect, on: tuple[str, ...]) -> Trial | None:
     """Try an error of teeth or gears where the angle that it goes with is measured."""
     link, own = tangent.fit.model.rig.link(on[0]), tangent.fit
     tangent = tangent.beside_declared_meshes
     model, balance, layout = tangent.fit.model, tangent.balance, tangent.fit.model.layout
-    body = angle_body(model, Placed(chain.name, link.name))
+    body = angle_body(model, Placed(entry.name, link.name))
     measured, _ = measured_motion(model, balance, balance.motions[0])
     if not link.mesh or link.rigid or link.name in model.closed or on_slide(model, body):
         return None
     if layout.coordinate[body] not in measured:
         return None
     if (
-        chain.name == BACKLASH_VARIATION.name
+        entry.name == BACKLASH_VARIATION.name
         and not model.plant().link_gap[layout.links.index(link.name)]
     ):
         return None
     shapes: list[dict[str, float]] = [{}]
-    if chain.effect.search == "orders":
-        constant = Placed(chain.name, link.name, {"order": 0.0})
+    if entry.effect.search == "orders":
+        constant = Placed(entry.name, link.name, {"order": 0.0})
         pushed = unit_columns(tangent.fit, balance, constant, ("cosine",))
         shapes = [{"order": n} for n in orders(tangent, body, pushed)]
     same = absolute(model, balance, body)
-    found = _linear(tangent, chain, on, shapes, ("cosine", "sine"), same)
+    found = _linear(tangent, entry, on, shapes, ("cosine", "sine"), same)
     moved = {k: v for k, v in model.values.items() if v != own.model.values.get(k)}
     twist = {log: n.twist for log, n in tangent.fit.state.logs.items()}
     return found and replace(found, values=moved, twist=twist)
 
 
-def _shapes(tangent: Tangent, chain: PlacedEffect, body: str) -> list[dict[str, float]]:
+def _shapes(tangent: Tangent, entry: PlacedEffect, body: str) -> list[dict[str, float]]:
     """Values of what has no meaning at zero amplitude, to try."""
     model, motions = tangent.fit.model, tangent.balance.motions
-    search = chain.effect.search
+    search = entry.effect.search
     if search == "orders":
         return [{"order": n} for n in orders(tangent, body)]
     if search == "frequencies":
         return [{"frequency": f} for f in frequencies(tangent)]
     if search == "places":
         return spots(tangent, body)
-    banks = {p.name: p.bank for p in chain.keep if p.bank}
+    banks = {p.name: p.bank for p in entry.keep if p.bank}
     if "time_constant" in banks:
         return [{"time_constant": s * tangent.balance.longest} for s in (0.1, 0.3, 1.0)]
     if "speed" in banks:
@@ -263,33 +263,33 @@ def _rubs(model: RigModel, body: str, laws: Sequence[str] = FRICTION) -> bool:
 
 def _linear(
     tangent: Tangent,
-    chain: PlacedEffect,
+    entry: PlacedEffect,
     on: tuple[str, ...],
     shapes: Sequence[Mapping[str, float]],
     names: tuple[str, ...] | None = None,
     same: bool = True,
 ) -> Trial | None:
     """Best of several shapes, amplitudes solved for; `same` where logs share the angle's zero."""
-    names = names or chain.amplitudes
+    names = names or entry.amplitudes
     logs, each = tangent.balance.logs, len(names)
-    low = {p.name: p.low for p in chain.keep}
+    low = {p.name: p.low for p in entry.keep}
     best: tuple[float, Trial] | None = None
     for shape in shapes:
-        parts = _columns_at(tangent, chain, on, shape, names)
-        apart = not same and len(logs) > 1 and chain.effect.wave
-        wide = _per_log(parts, tangent.balance) if apart else parts
+        parts = _columns_at(tangent, entry, on, shape, names)
+        per_log = not same and len(logs) > 1 and entry.effect.wave
+        wide = _per_log(parts, tangent.balance) if per_log else parts
         gain, amplitudes = tangent.score(wide)
         pairs = amplitudes.reshape(-1, parts[0].shape[-1])
-        zero: dict[str, dict[str, float]] = {log: {} for log in logs[1:]} if apart else {}
+        zero: dict[str, dict[str, float]] = {log: {} for log in logs[1:]} if per_log else {}
         if any(low[n] >= 0 and pairs[0][j] < 0 for j, n in enumerate(names)):
             gain = 0.0  # friction that drives, a spring that pushes
         if best is not None and gain <= best[0]:
             continue
         placed = []
-        for k, one in enumerate(placed_at(chain.name, on, shape)):
-            mine = pairs[:, k * each : (k + 1) * each] if chain.own else pairs
+        for k, one in enumerate(placed_at(entry.name, on, shape)):
+            mine = pairs[:, k * each : (k + 1) * each] if entry.own else pairs
             sizes = mine[0]
-            if apart:
+            if per_log:
                 sizes, shifts = _common_phase(mine, logs, shape.get("order", 1.0))
                 for log, shift in shifts.items():
                     zero[log][one.key] = shift
@@ -302,7 +302,7 @@ def _linear(
 
 def _columns_at(
     tangent: Tangent,
-    chain: PlacedEffect,
+    entry: PlacedEffect,
     on: Sequence[str],
     shape: Mapping[str, float],
     names: tuple[str, ...],
@@ -310,14 +310,14 @@ def _columns_at(
     """Columns of amplitudes; of places of one make together, or beside each other."""
 
     def at(place: str) -> list[Floats]:
-        key = chain.name, place, names, tuple(shape.items())
+        key = entry.name, place, names, tuple(shape.items())
         if key not in tangent.columns:
-            placed = Placed(chain.name, place, shape)
+            placed = Placed(entry.name, place, shape)
             tangent.columns[key] = unit_columns(tangent.fit, tangent.balance, placed, names)
         return tangent.columns[key]
 
     together = zip(*map(at, on), strict=True)
-    return [np.concatenate(p, axis=-1) if chain.own else np.sum(p, axis=0) for p in together]
+    return [np.concatenate(p, axis=-1) if entry.own else np.sum(p, axis=0) for p in together]
 
 
 def _per_log(parts: Sequence[Floats], balance: Balance) -> list[Floats]:
@@ -375,11 +375,11 @@ def _finite(
         change = tangent.project(tangent.stack(parts)[:, 0])
         gain = float(target @ target - (target + change) @ (target + change))
         if scaled:
-            chain = PLACED_CATALOGUE[placed[0].name]
+            entry = PLACED_CATALOGUE[placed[0].name]
             gain, (by,) = tangent.score(parts)
-            if by < 0 and any(p.low >= 0 for p in chain.keep if p.name in chain.amplitudes):
+            if by < 0 and any(p.low >= 0 for p in entry.keep if p.name in entry.amplitudes):
                 gain = by = 0.0
-            sized = {k: v * float(by) if k in chain.amplitudes else v
+            sized = {k: v * float(by) if k in entry.amplitudes else v
                      for k, v in placed[0].values.items()}  # fmt: skip
             placed = tuple(p._replace(values=sized) for p in placed)
         if best is None or gain > best[0]:

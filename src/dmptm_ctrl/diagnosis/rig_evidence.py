@@ -106,13 +106,13 @@ class RigEvidence:
             named = [self._fitted(state, (t,), FIRST) for t in trials(state.tangent, only)]
             return [*named, *self._structures(state, only)]
         steps = sorted(state.trials, key=lambda t: -t.gain)
-        judged = [self._fitted(state, (t,), FIRST) for t in steps[:1]]
+        candidates = [self._fitted(state, (t,), FIRST) for t in steps[:1]]
         if not state.keys:
             self.idle.clear()
-        judged += self._structures(state, left_out={*self.idle})
+        candidates += self._structures(state, left_out={*self.idle})
 
         def best() -> float:
-            return max((c.evidence for c in judged if c.acceptable), default=0.0)
+            return max((c.evidence for c in candidates if c.acceptable), default=0.0)
 
         # none is chosen that was not fitted, and few could be
         most = evidence_per_gain(self.ratio(state))
@@ -124,12 +124,12 @@ class RigEvidence:
                 continue
             one = self._first_order(state, trial)
             if one.acceptable and one.evidence >= best():
-                judged.append(self._fitted(state, (trial,), FIRST))
+                candidates.append(self._fitted(state, (trial,), FIRST))
             else:
                 rough.append(one)
         if best() == 0.0 and self.idle:
-            judged += self._structures(state, only={*self.idle})
-        return [*judged, *ranked(rough)]
+            candidates += self._structures(state, only={*self.idle})
+        return [*candidates, *ranked(rough)]
 
     def _structures(
         self, state: RigState, only: Collection[str] | None = None, left_out: Collection[str] = ()
@@ -230,7 +230,7 @@ class RigEvidence:
 
     @staticmethod
     def _plain(group: tuple[Trial, ...], fit: RigFit) -> Candidate:
-        """Return a candidate before it is judged."""
+        """Return a candidate before it is tested."""
         keys = tuple(t.key for t in group)
         numbers = sum(map(numbers_of, keys))
         order = sum(list(PLACED_CATALOGUE).index(name_of(k)) for k in keys)
@@ -254,19 +254,19 @@ class RigEvidence:
         fall -= held.surprise(larger.held_left[0], more)
         searched = sum(_searched(key, larger.logs) for key in larger.keys)
         searched -= sum(_searched(key, larger.logs) for key in smaller.keys)
-        apart = larger.loudness - smaller.loudness
+        extra = larger.loudness - smaller.loudness
         if larger.on_inputs != smaller.on_inputs:
-            apart += larger.effort - smaller.effort
-        louder = 2.0 * float(likelihood.news.mean()) * apart
+            extra += larger.effort - smaller.effort
+        louder = 2.0 * float(likelihood.independent.mean()) * extra
         rows, held_rows = counted_rows(larger)
         return fitted - searched + rows * louder, fall + held_rows * louder
 
     def errors(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
-        news = larger.fit.likelihood.news
+        shares = larger.fit.likelihood.independent
 
         def of(balance: Balance, few: Sequence[Floats], more: Sequence[Floats]) -> float:
             rows = larger.fit.likelihood.on(balance).row_surprises
-            return standard_error(rows(few), rows(more), 1.0 / news)
+            return standard_error(rows(few), rows(more), 1.0 / shares)
 
         return (
             of(larger.logs, smaller.fit.left, larger.fit.left),
@@ -362,5 +362,5 @@ def _searched(key: str, logs: Balance) -> float:
 
 def numbers_of(key: str) -> int:
     """Numbers of an effect: those that places of one make share, and those of each."""
-    chain = PLACED_CATALOGUE[name_of(key)]
-    return len(chain.keep) + len(chain.own) * (len(members(key)) - 1)
+    entry = PLACED_CATALOGUE[name_of(key)]
+    return len(entry.keep) + len(entry.own) * (len(members(key)) - 1)

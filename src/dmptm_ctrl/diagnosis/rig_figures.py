@@ -48,7 +48,7 @@ def folded(
 
     def rows(state: RigState) -> list[Rows]:
         found = []
-        news = float(final.fit.likelihood.news[0])
+        share = float(final.fit.likelihood.independent[0])
         sides = (
             (state.fit.likelihood.balance, state.fit.left, final.fit.state),
             (state.held, state.held_left[0], final.held_state),
@@ -61,7 +61,7 @@ def folded(
                 if wave:  # encoders that start anywhere see it from zeros of their own
                     x = x + zeros.nuisance(motion.name).zero.get(wave.key, 0.0)
                 x = x % period if period else x
-                found.append((x[use] / factor, part[0][use], np.sign(way[use]), news))
+                found.append((x[use] / factor, part[0][use], np.sign(way[use]), share))
         return found
 
     made = fold(rows(without), rows(final), label, f"drive − model\n[{unit}]", name_of(effect))

@@ -39,8 +39,8 @@ def amplitudes_of(fit: RigFit, key: str) -> list[int]:
 
     A constant beside another amplitude does not make an effect: it would be an offset.
     """
-    chain = PLACED_CATALOGUE[name_of(key)]
-    names = [n for n in chain.amplitudes if n not in chain.effect.constants]
+    entry = PLACED_CATALOGUE[name_of(key)]
+    names = [n for n in entry.amplitudes if n not in entry.effect.constants]
     return [
         j for j, f in enumerate(fit.frees)
         if f.kind == "effect" and f.owner in members(key) and f.name in names
@@ -103,9 +103,9 @@ def _pushes(effect: Placed, fit: RigFit) -> str:
 
 def _too_short(effect: Placed, fit: RigFit) -> str:
     """A time far below a sample is the sampling itself."""
-    chain = PLACED_CATALOGUE[effect.name]
+    entry = PLACED_CATALOGUE[effect.name]
     least = SHORTEST_LATE * fit.likelihood.balance.motions[0].dt
-    late = (p.name for p in chain.keep if chain.place == "input" and p.unit == "s")
+    late = (p.name for p in entry.keep if entry.place == "input" and p.unit == "s")
     short = next((name for name in late if effect.values[name] <= least), "")
     return f"{short} is shorter than a tenth of a sample" if short else ""
 
@@ -138,8 +138,8 @@ def _harmonic(f: float, error: float, u: Floats, dt: float) -> bool:
     before, peak, after = np.log(np.maximum(power[top - 1 : top + 2], 1e-300))
     wave = (top + 0.5 * (before - after) / (before - 2 * peak + after)) / (size * dt)
     nearest = max(round(f / wave), 1)
-    apart = abs(f - nearest * wave)
-    return apart <= FIRM * error or (nearest <= FURTHEST and apart * u.size * dt <= RESOLVED)
+    distance = abs(f - nearest * wave)
+    return distance <= FIRM * error or (nearest <= FURTHEST and distance * u.size * dt <= RESOLVED)
 
 
 def _unseen(effect: Placed, fit: RigFit, before: RigFit) -> str:

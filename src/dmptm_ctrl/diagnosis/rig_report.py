@@ -189,10 +189,10 @@ def report_of(
     variables = tuple(dict.fromkeys(strong))[:2]
     nearest = (best.variable,) if best else ()
     # after a few impacts a free run is chance; balance and short predictions decide "none"
-    judged = errors if effects else replace(errors, runs=short.usual)
+    counted = errors if effects else replace(errors, runs=short.usual)
     loose = _parted(final.fit)
     more = bool(loose) or curve_share(final, curves) >= 1.0 - EXPLAINED
-    verdict = verdict_of(judged, bool(effects), more)
+    verdict = verdict_of(counted, bool(effects), more)
     torn = (f"{link}: no stiffness fits these logs; the fit leaves hardly any" for link in loose)
     rows = [
         Row(e.name, e.location, slower[k], sqrt(costs[k]), e.share,

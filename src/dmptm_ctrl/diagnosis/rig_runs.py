@@ -1,4 +1,4 @@
-"""Runs of a rig file's drive on its held-out logs, free or led, and what they miss of a sensor."""
+"""Runs of a rig on its held-out logs, free or with an observer, and what they miss."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.budget import Squares
 from dmptm_ctrl.diagnosis.candidate import members
-from dmptm_ctrl.diagnosis.predict import apart, twin_steps
+from dmptm_ctrl.diagnosis.predict import rms_excess, twin_steps
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ, agreement, low_pass, noise_below
 from dmptm_ctrl.identify.heavy_tails import robust_scale
@@ -225,7 +225,7 @@ class Runs:
         runs = self.expected(without) if self.error() is not None else None
         if runs is None or self.after is None:
             return None
-        return apart(*(self.agreement(r)["rmse"] for r in (runs, self.after)))
+        return rms_excess(*(self.agreement(r)["rmse"] for r in (runs, self.after)))
 
     def left(self) -> tuple[float | None, float | None]:
         """What of the error is not explained, and its floor."""
@@ -233,7 +233,7 @@ class Runs:
         if error is None:
             return None, None
         after, floor = error["after"]["rmse"], error["floor"]["rmse"]
-        return apart(after, floor), floor
+        return rms_excess(after, floor), floor
 
     @property
     def warnings(self) -> tuple[str, ...]:

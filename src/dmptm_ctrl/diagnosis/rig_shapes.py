@@ -49,8 +49,8 @@ def unit_columns(
 
     `shape` is the effect at its place, without amplitudes.
     """
-    chain, body = PLACED_CATALOGUE[shape.name], shape.on
-    if chain.place == "link":
+    entry, body = PLACED_CATALOGUE[shape.name], shape.on
+    if entry.place == "link":
         return _mesh_columns(fit, balance, shape, names)
     model = fit.model
     reach = untwisted(model.plant())[model.layout.coordinate[body]]
@@ -63,7 +63,7 @@ def unit_columns(
         columns = []
         for name in names:
             acting = [acting_of(_sized(shape, name, 1.0))]
-            if chain.site == "friction":
+            if entry.site == "friction":
                 _, out = friction_along(acting, theta, omega, motion.time, load)
                 out = -np.sign(omega) * out * (np.abs(omega) > slow)
             else:

@@ -170,7 +170,7 @@ def whiter(fit: RigFit) -> RigFit:
     """
     like = fit.likelihood
     own = [1.0 / correlation_length(p) if p.size > 2 else 1.0 for p in like.parts(fit.left)]
-    return replace(fit, likelihood=replace(like, news=np.maximum(like.news, own)))
+    return replace(fit, likelihood=replace(like, independent=np.maximum(like.independent, own)))
 
 
 def with_standing_on(fit: RigFit, key: str) -> set[str]:

@@ -93,11 +93,11 @@ def poor(log: Log, drive: Drive) -> str:
         return f"hardly moves: {moving:.2g} s of steady motion; needs {MIN_MOVING:g} s"
     for channel in ("theta_ml", "theta_mr"):
         if log.has(channel):
-            apart = float(np.ptp(log[channel] / drive["N_1"] - drive["N_2"] * log["theta_L"]))
-            if apart > MAX_TWIST:
+            twist = float(np.ptp(log[channel] / drive["N_1"] - drive["N_2"] * log["theta_L"]))
+            if twist > MAX_TWIST:
                 return (
                     f"has a foreign or failing motor encoder: {channel} and theta_L part by "
-                    f"{np.rad2deg(apart):.3g} deg of the pinion, where a drive twists by minutes"
+                    f"{np.rad2deg(twist):.3g} deg of the pinion, where a drive twists by minutes"
                 )
     return ""
 

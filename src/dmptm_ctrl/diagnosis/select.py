@@ -325,8 +325,8 @@ def compared(
                 said: list[str] = []
                 changed = pruned(evidence, better, said.append)
                 if frozenset(changed.keys) not in seen:  # else effects would replace each other
-                    news = [k for k in better.keys if k not in state.keys]
-                    for text in (f"{key} → {', '.join(news) or 'nothing'}", *said):
+                    added = [k for k in better.keys if k not in state.keys]
+                    for text in (f"{key} → {', '.join(added) or 'nothing'}", *said):
                         step(text)
                     state = changed
                     seen.add(frozenset(state.keys))

@@ -32,11 +32,11 @@ def wandered(left: Residual) -> float:
     widest = []
     for balance in (left.balance, left.held):
         parts = balance.missing(left.base.model)
-        chains = [
+        ends = [
             part
             for e, part in zip(balance.equations, parts, strict=True)
             if e.kind in SIDES and part.size >= FEWEST
         ]
-        ranges = [np.ptp([np.median(s) for s in np.array_split(c, STRETCHES)]) for c in chains]
+        ranges = [np.ptp([np.median(s) for s in np.array_split(c, STRETCHES)]) for c in ends]
         widest.append(float(max(ranges, default=0.0)))
     return min(widest)

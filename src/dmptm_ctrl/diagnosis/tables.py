@@ -248,9 +248,9 @@ def focused(
     if loud.size == 0 or loud[-1] - loud[0] + 2 > MOST_OF_IT * (KNOTS - 1):
         return None
     shape = next(iter(shapes.values()))
-    apart = (shape["high"] - shape["low"]) / (KNOTS - 1)
+    spacing = (shape["high"] - shape["low"]) / (KNOTS - 1)
     ends = (loud[0] - 1, loud[-1] + 1)
-    low, high = (float(shape["low"] + apart * end) for end in ends)
+    low, high = (float(shape["low"] + spacing * end) for end in ends)
     return {name: {**shape, "low": low, "high": high} for name, shape in shapes.items()}
 
 
@@ -259,14 +259,14 @@ def narrowed(model: Model) -> dict[str, dict[str, float]]:
     name = MOTOR if MOTOR in model.effects else TORQUE
     values = model.effects[name]
     knots = np.abs([values[f"k{i}"] for i in range(KNOTS)])
-    apart = values["period"] / (KNOTS - 1)
+    spacing = values["period"] / (KNOTS - 1)
     # the longest quiet stretch, across the end of the period too, is left out
     loud = np.flatnonzero(knots >= QUIET * knots.max())
     quiet = np.diff([*loud, loud[0] + KNOTS - 1])
     last = int(np.argmax(quiet))
     first = int(loud[(last + 1) % loud.size])
-    low = apart * (first - 1)
-    length = min(values["period"], apart * (KNOTS + 1 - int(quiet[last])))
+    low = spacing * (first - 1)
+    length = min(values["period"], spacing * (KNOTS + 1 - int(quiet[last])))
     shape = {key: x for key, x in values.items() if key in ("variable", "motors", "period")}
     return {name: {**shape, "low": low, "high": low + length}}
 

@@ -145,7 +145,7 @@ def effect_columns(trace: Trace, effect: Effect, shapes: Mapping[str, float]) ->
 
 def weighted_changes(trace: Trace, models: Sequence[Model]) -> Floats:
     """Weighted change of the residual by each of some models, (m, models)."""
-    first = [trace.base.model] if trace.balance.led else []
+    first = [trace.base.model] if trace.balance.observer_driven else []
     rows = np.array([np.concatenate(one) for one in trace.balance.missing_of([*first, *models])])
     changed = rows[1:] - rows[0] if first else rows - trace.base.missing
     return np.asarray(trace.base.weights[:, None] * changed.T)
@@ -169,11 +169,11 @@ def pair_gains(trace: Trace, cosine: Floats, sine: Floats) -> Floats:
     return np.asarray((ss * rc**2 - 2 * cs * rc * rs + cc * rs**2) / det)
 
 
-def best(gains: Floats, keep: int, apart: int) -> list[int]:
+def best(gains: Floats, keep: int, spacing: int) -> list[int]:
     """Indices of the largest gains, no two closer than `apart`."""
     chosen: list[int] = []
     for i in np.argsort(-gains):
-        if all(abs(i - j) >= apart for j in chosen):
+        if all(abs(i - j) >= spacing for j in chosen):
             chosen.append(int(i))
         if len(chosen) == keep:
             break
@@ -320,7 +320,7 @@ def try_effect(trace: Trace, name: str, least: float) -> Trial | None:
         if max(trace.bounded_gain(effect_columns(trace, effect, one)) for one in shapes) < least:
             return None
     models = [trace.base.model.with_effect(name, **values) for values in begun]
-    if trace.balance.led:  # runs cost most: from the best start alone
+    if trace.balance.observer_driven:  # runs cost most: from the best start alone
         parts = trace.balance.missing_of(models)
         models = [models[int(np.argmin([surprise(one, trace.base.kinds) for one in parts]))]]
     unknowns, jacobian = (*trace.base.unknowns, *unknowns_of(name)), trace.base.jacobian

@@ -18,7 +18,7 @@ _DRY = [f"T{body}{kind}_{sign}" for body in "3L" for sign in ("plus", "minus") f
 
 
 def baseline_drive(drive: Drive | None = None, *, speed: float = USUAL) -> Drive:
-    """Return a drive as the existing three-inertia model has it: dead zone, viscous friction.
+    """Return a drive as the paper's "existing" model has it: dead zone, viscous friction.
 
     Dry friction, gap damping and stiffness variation are zero and declared exact. Viscous
     friction stands in for the dry friction: it takes as much work from a sine of the ring

@@ -31,7 +31,7 @@ class Modes:
     omega: Floats  # (n,) rad/s
     shapes: Floats  # (n, n) rad, columns, scaled to vᵀ M v = 1 kg·m²
     # "rigid", "antisymmetric" (left against right, ring still), "symmetric" (left with right),
-    # "mixed" where the two chains differ; "elastic" where there are no two
+    # "mixed" where the two sides differ; "elastic" where there are no two
     kinds: tuple[str, ...]
     damping_ratios: Floats  # (n,) ζ of the damped modes, nearest in frequency; 0 of the rigid one
 

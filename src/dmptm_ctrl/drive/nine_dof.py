@@ -1,4 +1,4 @@
-"""The paper's detailed linear model: per chain motor, two wheels and a pinion; one ring gear.
+"""The paper's detailed linear model: per side motor, two wheels and a pinion; one ring gear.
 
 Assembled joint by joint from Eqs. 1 to 15: motor shaft K01, bevel mesh K12 at radii R1 and
 R2, output shaft K23, ring mesh K34 at radii R3 and R_L.
@@ -120,12 +120,12 @@ def nine_dof_train(drive: Drive | None = None, **overrides: float) -> GearTrain:
             Joint(f"T23_{s}", driven - pinion, p["K_23"], 0.0),
             Joint(f"tau_{s}", ring, p["K_34"] * c34, p["D_34"] * c34, p["R_3"]),
         ]
-    chain = [drive["J_m"], p["J_1"], p["J_2"], p["J_3"]]
+    side = [drive["J_m"], p["J_1"], p["J_2"], p["J_3"]]
     viscous = [p["D_m"], p["D_1"], p["D_2"], p["D_3"]]
     return GearTrain(
         name="nine_dof",
         bodies=bodies,
-        inertia=np.array([*chain, *chain, drive["J_L"]]),
+        inertia=np.array([*side, *side, drive["J_L"]]),
         viscous=np.array([*viscous, *viscous, p["D_L"]]),
         joints=tuple(joints),
         drives=np.column_stack([unit["ml"], unit["mr"]]),

@@ -187,7 +187,7 @@ def _friction(
 
 
 def paper_drive(*, as_printed: bool = False) -> Drive:
-    """Return the paper's rig.
+    """Return the parameters of the paper's dual-motor drive.
 
     Parameters
     ----------

@@ -221,6 +221,12 @@ class Rig:
         In the order of the file.
     ties : mapping
         Keys of quantities that are another's, as ``body.right.inertia`` → ``body.left.inertia``.
+
+    Examples
+    --------
+    >>> rig = dm.load_rig("rig.toml")  # ``dmptm rig init`` writes one to start from
+    >>> [body.name for body in rig.bodies]
+    ['motor_left', 'motor_right', 'pinion_left', 'pinion_right', 'ring_gear']
     """
 
     name: str

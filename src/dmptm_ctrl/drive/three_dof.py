@@ -54,7 +54,9 @@ def three_dof_ss(
         ``theta_…`` [rad] and ``omega_…`` [rad/s] of 3l, 3r, L, ml, mr; ``tau_l``, ``tau_r``
         [N·m], the mesh torques at the pinions.
     states : {"twists", "angles"}
-        See :meth:`GearTrain.to_ss`.
+        With "twists" the states are the torques of the mesh springs and all speeds. The angle
+        of the whole drive is a state only where an output is an angle, so ``dcgain`` and
+        margins are right as they come. With "angles" they are all angles and speeds.
 
     Returns
     -------

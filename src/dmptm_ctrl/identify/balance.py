@@ -4,7 +4,7 @@ Summed over all bodies the mesh torques cancel, so that the balance at the ring 
 
     J_L α_L + N2 J̄3 (α_3l + α_3r) = N2 (N1 K (u_l + u_r) − F_3l − F_3r) − F_L + effects
 
-holds through gaps and impact chatter, of which no simulation predicts the course; per chain the
+holds through gaps and impact chatter, of which no simulation predicts the course; per side the
 mesh torque follows from the measured twist while the pinion rests on a flank. Nothing is
 integrated: no drift, no chaos, and nearly linear in everything unknown. What acts faster than a
 window is long is measured by the gyro's fast part (`ripple`).
@@ -22,7 +22,7 @@ from dmptm_ctrl.identify.compared_signals import correlation_length
 from dmptm_ctrl.identify.fit import Fit, Unknown, bounded_step, place, position, secant
 from dmptm_ctrl.identify.heavy_tails import FREEDOM, robust_scale
 from dmptm_ctrl.identify.motion import GYRO_NOISE, Motion
-from dmptm_ctrl.identify.observer_driven import Led
+from dmptm_ctrl.identify.observer_driven import ObserverRun
 from dmptm_ctrl.identify.ripple import Ripple
 from dmptm_ctrl.identify.windows import Windowed, frictions, inertias, pull_of
 from dmptm_ctrl.parallel import in_threads
@@ -31,8 +31,8 @@ from dmptm_ctrl.simulate.model import Floats, Model
 FIRM = 1.0  # N·m at the pinion; below, the flanks part and meet again within a window
 MIN_WINDOWS = 8  # of a log and equation; fewer say nothing about their own scatter
 GAUSSIAN = 1e6  # freedom of Student's t, where every window counts in full
-# N·m, rad/s for ripple and led; friction laws, and a sensor's noise, are not known more finely
-FLOOR = {"total": 0.1, "chain": 0.4, "ripple": 0.5 * GYRO_NOISE, "led": 0.2 * GYRO_NOISE}
+# N·m, rad/s for ripple and observer; friction laws, and a sensor's noise, are not known more finely
+FLOOR = {"total": 0.1, "side": 0.4, "ripple": 0.5 * GYRO_NOISE, "observer": 0.2 * GYRO_NOISE}
 # Difference steps, in scales of an unknown; small for what enters a phase or an exponent.
 PROBES = {"drive": 0.1, "amplitude": 1.0, "shape": 0.02}
 ITERATIONS = 8
@@ -43,7 +43,7 @@ STALLED = 0.5  # fall of the loss that ends the iterations
 # on its flank lasts for several. Not read off the misfit, which a missing effect correlates.
 # Samples of the fast part are white. How much blocks of short predictions count is measured by
 # benchmarks/short_weight.py.
-INDEPENDENT = {"total": 0.6, "chain": 0.25, "ripple": 1.0, "led": 0.1}
+INDEPENDENT = {"total": 0.6, "side": 0.25, "ripple": 1.0, "observer": 0.1}
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Equation:
     """One balance on one log: which windows of it count."""
 
     motion: int
-    kind: str  # total; left, right; ripple, whose `used` are samples; led, whose are blocks
+    kind: str  # total; left, right; ripple, whose `used` are samples; observer, whose are blocks
     used: np.ndarray
 
 
@@ -62,12 +62,12 @@ class Balance:
     Parameters
     ----------
     declared : Model
-        Tells which meshes push firmly; which windows count does not follow a fit.
+        Shows which meshes push firmly; which windows count does not follow a fit.
     jobs : int
         Threads; nothing depends on it.
     fast : bool
         Whether the fast part counts, after all windows.
-    led : bool
+    observer_driven : bool
         Whether short predictions count, last of all.
     """
 
@@ -75,7 +75,7 @@ class Balance:
     declared: Model
     jobs: int = 1
     fast: bool = False
-    led: bool = False
+    observer_driven: bool = False
 
     @cached_property
     def equations(self) -> tuple[Equation, ...]:
@@ -91,9 +91,10 @@ class Balance:
             found += [Equation(i, k, used) for k, used in kinds if used.sum() >= MIN_WINDOWS]
         if self.fast:
             found += [Equation(i, "ripple", r.used) for i, r in enumerate(self.ripples) if r.usable]
-        if self.led:
+        if self.observer_driven:
             found += [
-                Equation(i, "led", np.ones(one.count, bool)) for i, one in enumerate(self.leds)
+                Equation(i, "observer", np.ones(one.count, bool))
+                for i, one in enumerate(self.observer_runs)
             ]
         return tuple(found)
 
@@ -103,9 +104,9 @@ class Balance:
         return [Ripple(mo) for mo in self.motions]
 
     @cached_property
-    def leds(self) -> list[Led]:
+    def observer_runs(self) -> list[ObserverRun]:
         """Short predictions on each log."""
-        return [Led(mo.rec) for mo in self.motions]
+        return [ObserverRun(mo.rec) for mo in self.motions]
 
     @cached_property
     def windowed(self) -> list[Windowed]:
@@ -147,18 +148,22 @@ class Balance:
 
     def missing_of(self, models: Sequence[Model]) -> list[list[Floats]]:
         """Return the missing torques of several models; their runs go together."""
-        if not self.led:
+        if not self.observer_driven:
             return in_threads(self.missing, models, self.jobs)
         windows = in_threads(self._of_windows, models, self.jobs)
         runs = in_threads(
-            lambda one: one.missing_of(models), self.leds, self.jobs, lambda one: one.count
+            lambda one: one.missing_of(models), self.observer_runs, self.jobs, lambda one: one.count
         )
         return [[*parts, *(run[i] for run in runs)] for i, parts in enumerate(windows)]
 
     def missing(self, model: Model) -> list[Floats]:
         """Missing torque per equation, on the windows that count."""
         parts = self._of_windows(model)
-        return [*parts, *(one.missing(model) for one in self.leds)] if self.led else parts
+        return (
+            [*parts, *(one.missing(model) for one in self.observer_runs)]
+            if self.observer_driven
+            else parts
+        )
 
     def _of_windows(self, model: Model) -> list[Floats]:
         tables = [w.missing(model.over(w.seconds)) for w in self.windowed]
@@ -220,7 +225,7 @@ class BalanceFit(Fit):
 
 
 def weights(parts: Sequence[Floats], kinds: Sequence[str], freedom: float = FREEDOM) -> Floats:
-    """Square roots of what each window counts: its equation's scale, bent, and news."""
+    """Square roots of what each window counts: its scale, bent, and independent share."""
     return np.concatenate(
         [
             np.sqrt(INDEPENDENT[role_of(kind)] * (freedom + 1.0) / (freedom + (part / sigma) ** 2))
@@ -283,8 +288,8 @@ def split(vector: Floats, like: Sequence[Floats]) -> list[Floats]:
 
 
 def role_of(kind: str) -> str:
-    """Tell the balance of the whole, that of a chain and the fast part apart."""
-    return "chain" if kind in SIDES else kind
+    """Tell the balance of the whole, that of a side and the fast part apart."""
+    return "side" if kind in SIDES else kind
 
 
 def role(unknown: Unknown) -> str:
@@ -295,7 +300,7 @@ def role(unknown: Unknown) -> str:
 
 
 def columns(balance: Balance, model: Model, unknowns: Sequence[Unknown], e0: Floats) -> Floats:
-    """Slopes of the missing torques by differences, (m, k)."""
+    """Derivatives of the missing torques by differences, (m, k)."""
     p0 = position(model, unknowns)
     if not unknowns:
         return np.empty((e0.size, 0))
@@ -303,7 +308,7 @@ def columns(balance: Balance, model: Model, unknowns: Sequence[Unknown], e0: Flo
     steps[p0 + steps > [k.high for k in unknowns]] *= -1.0
     moved = [place(model, unknowns, p) for p in p0 + np.diag(steps)]
     # runs that go together round alike: their differences are taken from one of them
-    first = [model] if balance.led else []
+    first = [model] if balance.observer_driven else []
     rows = np.array([np.concatenate(parts) for parts in balance.missing_of([*first, *moved])])
     changed = rows[1:] - rows[0] if first else rows - e0
     return np.asarray((changed / steps[:, None]).T)
@@ -360,7 +365,7 @@ def fit_balance(
             break
         if not own:
             continue
-        if stalled or balance.led:  # runs bend too much for secants: they meet impacts
+        if stalled or balance.observer_driven:  # runs bend too much for secants: they meet impacts
             jac, fresh = derivatives(), True
         else:
             jac, fresh = secant(jac, np.concatenate(parts) - e, p - p0), False

@@ -15,7 +15,7 @@ import numpy as np
 from dmptm_ctrl.design.draws import slow_friction
 from dmptm_ctrl.effects.presliding import PRESLIDING
 from dmptm_ctrl.identify.balance import surprise
-from dmptm_ctrl.identify.observer_driven import Led
+from dmptm_ctrl.identify.observer_driven import ObserverRun
 from dmptm_ctrl.identify.records import records
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.signals import Log
@@ -72,7 +72,7 @@ def _missed(models: Sequence[Model], logs: Sequence[Log], jobs: int) -> Floats:
 
     They are free but for a slow lead by the angle, that impacts do not part them for good.
     """
-    leds = [Led(rec, LEAD_HZ, SUBSTEPS) for rec in records(logs, models[0].drive)]
-    rows = in_threads(lambda one: one.missing_of(models), leds, jobs, lambda one: one.count)
-    kinds = ["led"] * len(leds)
+    observed = [ObserverRun(rec, LEAD_HZ, SUBSTEPS) for rec in records(logs, models[0].drive)]
+    rows = in_threads(lambda one: one.missing_of(models), observed, jobs, lambda one: one.count)
+    kinds = ["observer"] * len(observed)
     return np.array([surprise([row[k] for row in rows], kinds) for k in range(len(models))])

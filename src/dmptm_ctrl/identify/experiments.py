@@ -36,7 +36,7 @@ class Steady(NamedTuple):
         Of the ring gear.
     volts : (2,) array [V]
     twist : (2,) array [rad]
-        z = θm/N1 − N2 θL of both chains.
+        z = θm/N1 − N2 θL of both sides.
     twist_se : (2,) array [rad]
         Of the sum and the difference of both twists: they share the ring gear's reading, so
         that their own errors are not independent, but those of sum and difference are.
@@ -52,7 +52,7 @@ class Steady(NamedTuple):
 
 
 def twists(log: Log, drive: Drive) -> Floats:
-    """Return z = θm/N1 − N2 θL [rad] of both chains, (2, n).
+    """Return z = θm/N1 − N2 θL [rad] of both sides, (2, n).
 
     Raises
     ------

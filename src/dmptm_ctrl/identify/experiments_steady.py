@@ -1,6 +1,6 @@
 """Half-gaps, mesh stiffness and friction curves from runs at constant speed under preload.
 
-At constant speed a chain s with flank σ = ±1 and direction d = ±1 obeys, exactly,
+At constant speed a side s with flank σ = ±1 and direction d = ±1 obeys, exactly,
 
     z_s = σ Δ_s + (N1 K_d K_M u_s − d T3(ω3)) / k,     Σ (N1 K_d K_M u_s − d T3) = d TL(ω_L)/N2
 

@@ -1,6 +1,6 @@
 """The paper's eight experiments (Figs 16 and 18, Tables 3 and 4), on logs of a rig.
 
-A model is fitted on some logs and judged on others: the voltages of an open-loop log drive
+A model is fitted on some logs and tested on others: the voltages of an open-loop log drive
 it freely; a closed-loop log is simulated with its setpoint and the rig's PI loop. Speeds are
 compared below 30 Hz, since after a reversal the pinions chatter at 230 Hz in a way that no
 model predicts sample by sample.
@@ -40,7 +40,7 @@ EXPERIMENTS: Mapping[str, tuple[str, str, float, float]] = {
     "4c": ("closed_square_10", "10 square(πt) deg/s", 92.77, 94.42),
     "4d": ("closed_square_15", "15 square(2πt) deg/s", 82.75, 83.70),
 }
-# Each half is judged with a fit on the other; the multisine under preload is in both fits.
+# Each half is tested with a fit on the other; the multisine under preload is in both fits.
 HALVES = (("3a", "3c", "4a", "4c"), ("3b", "3d", "4b", "4d"))
 ALWAYS = ("open_multisine_preload",)
 
@@ -134,7 +134,7 @@ def fit_to_logs(drive: Drive, logs: Sequence[Log], loop: Loop, *, starts: int = 
         parts = [several / PRIOR]
         for log, seen in zip(logs, measured, strict=True):
             miss = (seen - block_mean(speeds_on(models, log, loop), BLOCK)) / SPEED_ERROR
-            parts.append(miss * np.sqrt(100.0 / seen.size))  # a log counts as 100 news
+            parts.append(miss * np.sqrt(100.0 / seen.size))  # a log counts as 100 independent rows
         return np.concatenate(parts, axis=1)
 
     def steps(p: Floats) -> Floats:
@@ -209,7 +209,7 @@ def validate(
     """
     trials: dict[str, Trial] = {}
     fitted: dict[str, list[Drive]] = {name: [] for name in drives}
-    for judged, learned in (HALVES, HALVES[::-1]):
+    for tested, learned in (HALVES, HALVES[::-1]):
         logs = [campaign[name] for name in (*(EXPERIMENTS[e][0] for e in learned), *ALWAYS)]
         models = {}
         for name, drive in drives.items():
@@ -217,7 +217,7 @@ def validate(
                 progress(f"{name} model, fitted on {', '.join(learned)}")
             fitted[name].append(fit_to_logs(drive, logs, loop))
             models[name] = Model(fitted[name][-1])
-        for experiment in judged:
+        for experiment in tested:
             log = campaign[EXPERIMENTS[experiment][0]]
             dt = log.sample_time
             measured = low_pass(log["omega_L"], dt)

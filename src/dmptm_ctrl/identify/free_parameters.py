@@ -1,4 +1,4 @@
-"""What a fit of a chain may move: declared quantities, effects, and what belongs to a log."""
+"""What a fit of a rig may move: declared quantities, effects, and what belongs to a log."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -157,8 +157,8 @@ def free_parameters(
 
 def _effect_parameters(effect: Placed, model: RigModel, scales: Scales) -> list[Free]:
     frees = []
-    linear, chain = on_slide(model, effect.on), PLACED_CATALOGUE[effect.name]
-    for parameter in (p for p in chain.keep if not effect.like or p.name in chain.own):
+    linear, entry = on_slide(model, effect.on), PLACED_CATALOGUE[effect.name]
+    for parameter in (p for p in entry.keep if not effect.like or p.name in entry.own):
         value = effect.values.get(parameter.name, 0.0)
         low, high, size = parameter.low, parameter.high, abs(value)
         if parameter.name == "order":
@@ -182,9 +182,9 @@ def _effect_parameters(effect: Placed, model: RigModel, scales: Scales) -> list[
             if not -1.0 <= low <= high <= 1.0 or parameter.unit:
                 low = -inf if low < 0 else 0.0
                 high = inf
-        if parameter.unit == "s" and chain.place == "input":
+        if parameter.unit == "s" and entry.place == "input":
             high = max(3.0 * value, 2.0 * scales.dt)  # a search far out finds aliases
-        if chain.effect.search == "limits":
+        if entry.effect.search == "limits":
             high = 2.0 * value
         if parameter.name == "share":
             low, high = SHARES
@@ -192,8 +192,8 @@ def _effect_parameters(effect: Placed, model: RigModel, scales: Scales) -> list[
             size = max(abs(value), 0.02 * scales.u[effect.on])
         frees.append(Free("effect", effect.key, parameter.name, low, high, size or 1.0))
     if any(e.name == OFFSET for e in model.effects):  # one constant is enough
-        frees = [f for f in frees if f.name not in chain.effect.constants]
-    if chain.effect.wave and chain.site == "friction" and linear:
+        frees = [f for f in frees if f.name not in entry.effect.constants]
+    if entry.effect.wave and entry.site == "friction" and linear:
         frees = [f for f in frees if f.name == "sine"]  # a slope along the axis
     if effect.name == SHAFT_COMPLIANCE.name and any(k.name == effect.on for k in model.rig.links):
         frees = [f for f in frees if f.name not in ("share", "far_viscous")]
@@ -234,10 +234,10 @@ def same_twist(model: RigModel, balance: Balance, link: str) -> bool:
 
 def has_phase(model: RigModel, balance: Balance, effect: Placed) -> bool:
     """Whether an effect goes with the angle, of which each log has its own zero."""
-    chain = PLACED_CATALOGUE[effect.name]
-    slope = chain.site == "friction" and on_slide(model, effect.on)
+    entry = PLACED_CATALOGUE[effect.name]
+    slope = entry.site == "friction" and on_slide(model, effect.on)
     return (
-        chain.effect.wave and not slope and not absolute(model, balance, angle_body(model, effect))
+        entry.effect.wave and not slope and not absolute(model, balance, angle_body(model, effect))
     )
 
 

@@ -151,6 +151,7 @@ def multisine(
 
     Parameters
     ----------
+    model : Model
     hz : (n,) array_like [Hz]
         Rounded to whole numbers of cycles per `period`; doubles are dropped.
     rms : float
@@ -160,7 +161,7 @@ def multisine(
     realisations : int
         Draws of the phases; the coherence needs at least 2.
     seed : int
-    model, loop, offset, preload, output, sample_time
+    loop, offset, preload, output, sample_time
         As in :func:`stepped_sine`.
 
     Returns
@@ -331,10 +332,10 @@ def _period(x: Floats) -> int | None:
     sums = np.concatenate([[0.0], np.cumsum(x**2)])
     lag = np.arange(n // 2 + 1)
     change = (sums[n - lag] + sums[n] - sums[lag] - 2.0 * lagged) / (n - lag)
-    apart = np.flatnonzero(change > np.var(x))
-    if apart.size == 0:
+    changing = np.flatnonzero(change > np.var(x))
+    if changing.size == 0:
         return None
-    alike = np.flatnonzero(change[apart[0] :] <= 2.0 * NEGLIGIBLE * np.var(x)) + apart[0]
+    alike = np.flatnonzero(change[changing[0] :] <= 2.0 * NEGLIGIBLE * np.var(x)) + changing[0]
     if alike.size == 0:
         return None
     run = alike[: np.argmax(np.append(np.diff(alike) > 1, True)) + 1]

@@ -1,7 +1,7 @@
 """Gaps before bodies that nothing measures.
 
 When teeth meet depends on all that came before, so the fit of such a gap has many minima, and
-slopes lead to the nearest. An evolution strategy looks at a whole region: first over all that is
+gradients lead to the nearest. An evolution strategy looks at a whole region: first over all that is
 unknown of the link, then, with all numbers of the model free, around the fit from there.
 Source: N. Hansen, The CMA evolution strategy, arXiv:1604.00772.
 """

@@ -26,7 +26,7 @@ class Likelihood:
 
     Attributes
     ----------
-    news : (equations,) array
+    independent : (equations,) array
         Share of the rows of each equation that is independent.
     noise : (equations,) array, optional
         Variance of the residual by the noise of readings to which all models are brought.
@@ -37,7 +37,7 @@ class Likelihood:
     """
 
     balance: Balance
-    news: Floats
+    independent: Floats
     noise: Floats | None = None
     doubt: Mapping[str, float] = field(default_factory=dict)
 
@@ -111,9 +111,11 @@ class Likelihood:
 
     def weights(self, left: Sequence[Floats]) -> Floats:
         """Square roots of what each row counts, in the order of `stack`."""
-        rows = zip(self.news, self.scales(left), self.parts(left), self.balance.bursts, strict=True)
+        rows = zip(
+            self.independent, self.scales(left), self.parts(left), self.balance.bursts, strict=True
+        )
         return np.concatenate(
-            [weights_of(part, news, scale, heavy) for news, scale, part, heavy in rows]
+            [weights_of(part, share, scale, heavy) for share, scale, part, heavy in rows]
         )
 
     def surprise(self, left: Sequence[Floats], model: RigModel) -> float:
@@ -131,13 +133,13 @@ class Likelihood:
         heavy = np.flatnonzero(self.balance.bursts)
         parts = self.parts(left) if heavy.size else []
         for e in heavy:
-            spread[e] = self.news[e] * np.sum(tails(parts[e] ** 2 / squares[e]))
+            spread[e] = self.independent[e] * np.sum(tails(parts[e] ** 2 / squares[e]))
         return float(np.sum(self.counts * np.log(squares) + spread))
 
     @cached_property
     def counts(self) -> Floats:
         """Independent rows of each equation, (equations,)."""
-        return self.news * self.rows
+        return self.independent * self.rows
 
     def row_surprises(self, left: Sequence[Floats]) -> list[Floats]:
         """The same of each row as if it were independent, per equation."""
@@ -151,6 +153,6 @@ def size_of(rows: Floats, heavy: bool) -> float:
     return robust_scale(rows) if heavy else float(np.sqrt(np.mean(rows**2)))
 
 
-def weights_of(rows: Floats, news: float, scale: float, heavy: bool) -> Floats:
+def weights_of(rows: Floats, share: float, scale: float, heavy: bool) -> Floats:
     """Square roots of what rows of one equation count: less where they are bursts."""
-    return np.sqrt(news * (bent(rows, scale) if heavy else np.ones(len(rows)))) / scale
+    return np.sqrt(share * (bent(rows, scale) if heavy else np.ones(len(rows)))) / scale

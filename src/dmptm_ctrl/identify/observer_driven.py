@@ -1,8 +1,8 @@
 """Speed that a model does not predict over short times.
 
-The model runs along a log, led by the measured angle through an observer: it forgets within
+The model runs along a log, kept near the measured angle by an observer: it forgets within
 1/(2π f), f the observer's bandwidth. What the gyro reads beside it, in blocks, shows what the
-balances of sliding drives do not see: reversals, landings on the other flank, stick and creep.
+balances of sliding drives do not see: reversals, first impacts on the other flank, stick and creep.
 No state has to be guessed at the start of each stretch, as all that the model remembers,
 bristles and delays too, comes from its own run.
 Source: fixed-gain prediction errors, Ljung, System Identification, 1999, ch. 3 and 7.
@@ -18,13 +18,13 @@ from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.observer import observer_gains
 
 BANDWIDTH_HZ = 5.0  # of the observer
-MEMORY_SECONDS = 0.5 / (pi * BANDWIDTH_HZ)  # within which a run forgets where it was led from
+MEMORY_SECONDS = 0.5 / (pi * BANDWIDTH_HZ)  # within which a run forgets where it began
 STEPS = 4  # a sample; of 250 µs they miss the speed by 4e-4, far below a gyro's noise
 BLOCK_SECONDS = 0.02  # passes 25 Hz; how pinions ring on their flanks is chance
 
 
 @dataclass(frozen=True, eq=False)
-class Led:
+class ObserverRun:
     """Short predictions on one log, by an observer of `bandwidth_hz`, in `steps` per sample."""
 
     rec: Record

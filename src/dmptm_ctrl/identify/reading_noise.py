@@ -89,9 +89,9 @@ def _contact(model: RigModel, plant: Plant, rows: Floats, balance: "Balance") ->
 def _rubbing(model: RigModel) -> list[tuple[str, float]]:
     """Bodies whose friction follows a load, and by what share of it."""
     return [
-        (e.on, e.values[chain.amplitudes[0]])
+        (e.on, e.values[entry.amplitudes[0]])
         for e in model.effects
-        if (chain := PLACED_CATALOGUE[e.name]).by_load
+        if (entry := PLACED_CATALOGUE[e.name]).by_load
     ]
 
 

@@ -29,7 +29,7 @@ class Record:
     theta, omega : (n,) arrays [rad, rad/s]
         Ring-gear readings.
     twist : (n, 2) array [rad] or None
-        Measured z = θm/N1 − N2 θL per chain, where the log has motor encoders.
+        Measured z = θm/N1 − N2 θL per side, where the log has motor encoders.
     x0 : (6,) array
         State at rest at the first reading.
     """
@@ -114,7 +114,7 @@ def block_mean(signal: Floats, block: int) -> Floats:
 
 
 def predict(rec: Record, model: Model, bandwidth_hz: float = 0.0) -> Floats:
-    """Run the model on a record; with a bandwidth, led slowly by the measured angle.
+    """Run the model on a record; with a bandwidth, kept near the measured angle by a slow observer.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Fit a chain's parameters to the balance of torques, by Gauss–Newton with bounds.
+"""Fit a rig's parameters to the balance of torques, by Gauss–Newton with bounds.
 
 What is lowered is −2 log-likelihood: each equation normal at its own scale, every row counted
 as the share of it that is independent; and Σ ((p − p0)/σ)² over declared ranges.
@@ -33,7 +33,7 @@ PAST_IMPACTS = 0.05  # the same where impacts that nothing shows decide a run
 
 @dataclass(frozen=True, eq=False)
 class RigFit:
-    """A fitted chain.
+    """A fitted rig.
 
     Attributes
     ----------
@@ -191,7 +191,7 @@ def _step(free: Free, rough: bool) -> float:
 def invisible_impacts(model: RigModel, balance: Balance) -> bool:
     """Whether bodies that nothing measures move behind a gap.
 
-    When teeth meet depends on all that came before. Slopes nearby are then chance.
+    When teeth meet depends on all that came before. Derivatives nearby are then chance.
     """
     layout, plant = model.layout, model.plant()
     seen = {*balance.seen(layout)}
@@ -212,7 +212,7 @@ def fit_rig(
 ) -> RigFit:
     """Fit by Gauss–Newton.
 
-    Without links, steps go on with derivatives that follow from how the residual moved (Broyden,
+    Without links, steps continue with derivatives that follow from how the residual moved (Broyden,
     Math. Comp. 19 (1965) 577). Differences are taken anew where these gain no more, and at the end.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Free run of a chain on a log: what the sensors would have read."""
+"""Free run of a rig on a log: what the sensors would have read."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -70,7 +70,7 @@ def _first(time: Floats, head: Floats, order: int) -> float:
 
 
 def free_run(model: RigModel, log: Log, *, lead_hz: float = 0.0) -> RigRun:
-    """Run a chain on a log's inputs, from its first sample.
+    """Run a rig on a log's inputs, from its first sample.
 
     Angles of bodies on both sides of a spring may have zeros of their own: such a spring
     starts untwisted. An observer of bandwidth `lead_hz` leads the run by the log's first position,

@@ -1,7 +1,7 @@
 """Torque ripple that the gyro shows faster than the windows of the balances.
 
 Rotor magnets push many times per motor turn: at all but creeping speeds faster than the 25 Hz
-that a window passes. While the ring gear and both chains turn one way with both meshes closed,
+that a window passes. While the ring gear and both sides turn one way with both meshes closed,
 the drive is linear and the ring gear's speed answers a torque as
 
     ω(s)/T(s) = (2 ζ ω0 s + ω0²) / (J s (s² + 2 ζ ω0 s + ω0²)),   J = J_L + 2 N2² J̄3,
@@ -170,8 +170,8 @@ class Ripple:
         counts = np.zeros(self.used.size)
         counts[self.used] = weights
         pace = np.abs(self.motion.run[:, 1]) * gain * self.motion.rec.dt / (FINER * np.pi)
-        apart = self.motion.run[:, 2] - self.motion.run[:, 3]
-        own, crossed = powers(pace, apart, counts, self.response(answer), most)
+        difference = self.motion.run[:, 2] - self.motion.run[:, 3]
+        own, crossed = powers(pace, difference, counts, self.response(answer), most)
         return found, gain**2 * own, gain**2 * crossed
 
     def response(self, answer: tuple[Floats, Floats]) -> Floats:
@@ -188,7 +188,7 @@ class Ripple:
 
 
 def closed(plant: Plant) -> bytes:
-    """Inertia of a chain and of the ring gear, ratio, stiffness and damping of closed meshes."""
+    """Inertia of a side and of the ring gear, ratio, stiffness and damping of closed meshes."""
     return np.array([*inertias(plant), *plant.link_values[0, :3]]).tobytes()
 
 
@@ -222,9 +222,9 @@ def waves(angle: Floats, weights: Floats, most: int) -> NDArray[np.complex128]:
 
 @cached(nogil=True)
 def powers(
-    pace: Floats, apart: Floats, weights: Floats, response: Floats, most: int
+    pace: Floats, difference: Floats, weights: Floats, response: Floats, most: int
 ) -> tuple[Floats, NDArray[np.complex128]]:
-    """Halves of Σ weight · response, and the same times exp(i n apart), for each order.
+    """Halves of Σ weight · response, and the same times exp(i n difference), for each order.
 
     `pace` is the frequency of the first order as a share of that where the response ends.
     """
@@ -232,7 +232,7 @@ def powers(
     last = response.size - 1
     for i in range(pace.size):
         if weights[i] != 0.0:
-            step = complex(np.cos(apart[i]), np.sin(apart[i]))
+            step = complex(np.cos(difference[i]), np.sin(difference[i]))
             turn = step
             for n in range(most):
                 at = pace[i] * (n + 1)

@@ -263,7 +263,7 @@ class Windowed:
 
 
 def inertias(plant: Plant) -> tuple[float, float]:
-    """Inertia of a chain at its pinion, motor included, and of the ring gear [kg·m²]."""
+    """Inertia of a side at its pinion, motor included, and of the ring gear [kg·m²]."""
     behind = plant.inertia[3] if plant.inertia.size > 3 else 0.0
     return plant.inertia[0] + behind, plant.inertia[RING]
 

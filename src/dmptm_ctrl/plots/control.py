@@ -55,8 +55,8 @@ def plot_impact(found: Any, *, ax: Any = None) -> np.ndarray:
     for (name, speed), style in zip(speeds.items(), _PAIR, strict=True):
         panels[0].plot(time, speed, label=name, **style)
         panels[1].plot(time, speed - ref, label=name, **style)
-    judged = time >= found.duty.settling
-    worst = max(np.abs((v - ref)[judged]).max() for v in speeds.values())
+    settled = time >= found.duty.settling
+    worst = max(np.abs((v - ref)[settled]).max() for v in speeds.values())
     panels[1].set(ylim=(-1.15 * worst, 1.15 * worst))
     for (name, rows), style in zip(found.gains.items(), _PAIR, strict=True):
         fills = {"small": "white", "large": style["color"]}

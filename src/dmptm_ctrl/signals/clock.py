@@ -15,7 +15,7 @@ from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.log import EVEN_TOLERANCE, Array, is_even
 from dmptm_ctrl.signals.numbers import roundest
 
-# Bridged by a straight line; over more than this at 1 kHz a drive does something unseen.
+# Bridged by a straight line; over more than this at 1 kHz a drive may do anything.
 MAX_BRIDGED = 10
 DAY, HOUR = 86400.0, 3600.0  # s
 COARSE = 0.05  # of the steps are another multiple of a coarse clock's tick than most

@@ -126,8 +126,8 @@ class Acting(NamedTuple):
 
 def acting_of(placed: Placed) -> Acting:
     """Return an effect of a rig with its numbers."""
-    chain = PLACED_CATALOGUE[placed.name]
-    return Acting(chain.effect, chain.side, value_row(placed))
+    entry = PLACED_CATALOGUE[placed.name]
+    return Acting(entry.effect, entry.side, value_row(placed))
 
 
 def acting_in(plant: Plant) -> dict[tuple[str, int], list[Acting]]:

@@ -193,8 +193,8 @@ def simulate_batch(
             raise ValueError("rigs start from rest; leave initial_state out")
         rows = np.broadcast_to(_rows("initial_state", initial_state, count, (6,)), (count, 6))
         starts = [start(model.plant(), x0) for model, x0 in zip(models, rows, strict=True)]
-    wanted, judged = tuple(seen[name] for name in outputs), tuple(seen.values())
-    common = Common(dt, steps, n, drive, target, measured, wanted, every, judged)
+    wanted, summed = tuple(seen[name] for name in outputs), tuple(seen.values())
+    common = Common(dt, steps, n, drive, target, measured, wanted, every, summed)
     kept, found = run_many(models, starts, common, loops, jobs=jobs)
     least, greatest, total, squares = np.array(found).transpose(1, 0, 2)
     return Batch(

@@ -27,8 +27,8 @@ OUTPUTS = tuple(SEEN)
 BODIES = 4  # of these, the first: what turns; then torques and relative angles of the meshes
 SUBSTEPS = 8  # steps per sample; at 1 kHz 125 µs resolves the 231 Hz mode with 35 steps
 STEP = 125e-6  # s, of longer samples
-# Where bounces are met one by one: each grows the error of the landings before it, and where
-# gaps damp little the true values have lost step with 125 µs after 0.3 s (`test_lock.py`).
+# Where impacts are followed one by one: each amplifies the error of those before it. Where gaps
+# damp little, steps of 125 µs diverge from the true motion after 0.3 s.
 FINE_SUBSTEPS = 16
 
 
@@ -43,7 +43,8 @@ class Loop(NamedTuple):
     limit : float [V]
         Clip of the common voltage.
     bias_l, bias_r : float [V]
-        Added on the left and on the right motor.
+        Added on the left and on the right motor, after the clip. Opposite values are a preload:
+        a ``Controller`` has them as `preload`, beside feed-forward and notches.
 
     Examples
     --------
@@ -65,7 +66,7 @@ class Loop(NamedTuple):
 def rest(
     model: "Model", theta_L: float, *, motors: Sequence[float] | Floats | None = None
 ) -> Floats:
-    """Return the state at rest at ring-gear angle `theta_L` [rad], chains at mid-gap.
+    """Return the state at rest at ring-gear angle `theta_L` [rad], pinions at mid-gap.
 
     Where the angles of the motors [rad] are known, they place the pinions in their gaps.
     """
@@ -96,10 +97,10 @@ def march(
     Returns columns :data:`OUTPUTS` in SI, (n, 8), or without `meshes` the first 4.
     """
     plant = plant_with(model, contact)
-    led = {}
+    observed = {}
     if observer is not None:
-        led = {"observer": rigid_observer(plant, 0, observer), "measured": measured}
-    return _run(plant, x0, u, dt, substeps, None, meshes, begin, **led)[1]
+        observed = {"observer": rigid_observer(plant, 0, observer), "measured": measured}
+    return _run(plant, x0, u, dt, substeps, None, meshes, begin, **observed)[1]
 
 
 def steps_in(dt: float) -> int:

@@ -19,7 +19,7 @@ L_INERTIA, L_FRICTION, L_EFFECTS, L_LEAD, L_LATE, L_ACCELERATION = 17, 18, 19, 2
 L_SOFTNESS, L_INVERT, L_RELIEF_FROM, L_RELIEF_TO, L_SIZE = 23, 24, 25, 26, 27
 M_INTEGRAL, M_DELAYS, M_LAST, M_STARTED, M_LEFT, M_RIGHT, M_ANGLE = 0, 1, 5, 6, 7, 8, 9
 M_BRISTLES = 10  # friction so far of each coordinate, where it takes a distance
-INVERSIONS = 8  # of the drive's chain; each leaves a share of what the chain changes
+INVERSIONS = 8  # of the amplifier's effects; each leaves a share of what they change
 READINGS = 3  # the same for the sensors
 
 

@@ -1,4 +1,4 @@
-"""The dual-motor drive as a plant: two chains of motor and pinion on one ring gear.
+"""The dual-motor drive as a plant: two sides of motor and pinion on one ring gear.
 
 Coordinates: left and right pinion, ring gear, and behind compliant reducers the motors, seen
 at the pinion. Bodies: pinions, ring gear, motors.
@@ -102,8 +102,8 @@ def dual_plant(model: "Model") -> Plant:
     for found in said("shaft", motor * d["J_2"] / (motor + d["J_2"])):
         compliance, damping = found
     elastic = compliance > MIN_COMPLIANCE
-    chain = d["J_2"] + (0.0 if elastic else motor)
-    inertia = [chain, chain, d["J_L"], *([motor, motor] if elastic else [])]
+    side = d["J_2"] + (0.0 if elastic else motor)
+    inertia = [side, side, d["J_L"], *([motor, motor] if elastic else [])]
     mesh = [[d["N_2"], d["k_m"], d["c"], d["c_f"], d[gap]] for gap in ("gap_l", "gap_r")]
     shaft = [[n1, 1.0 / (compliance * n1**2), damping / n1**2, 0.0, 0.0]] * 2 if elastic else []
     laws, slow = np.zeros((5, 9)), np.zeros((5, 3))

@@ -39,7 +39,7 @@ TURN = np.deg2rad(10.0)  # rad/s, a speed of the paper's experiments
 PRELOAD = 0.3  # V; holds both meshes closed on opposite flanks at TURN
 BALANCED = 1e-6  # rad/s², what may be left of the accelerations
 TWIST = 1e-3  # rad, size of a half-gap: scale of the search
-STEP = 2.0**-13  # rad or m; of slopes: far below the shortest tooth or cogging period
+STEP = 2.0**-13  # rad or m; of derivatives: far below the shortest tooth or cogging period
 ROUNDING = 8.0 * np.finfo(float).eps  # of five values and their arguments
 STILL = 1e-6  # of the fastest mode; slower is the rigid one
 CONSERVATIVE = ("inertia", "stiffness", "ratio", "gain", "stribeck_speed", "stribeck_exponent")
@@ -119,7 +119,7 @@ def linearize(
     """Return the linear model of a drive about a state.
 
     Of a rig of any shape in contact and at rest: springs and dampers of links, viscous friction,
-    current lags, and the slopes of torques that depend on an angle (cable springs, gravity,
+    current lags, and the derivatives of torques that depend on an angle (cable springs, gravity,
     cogging). Not in it: dry friction, gaps, saturation.
 
     Parameters

@@ -10,7 +10,7 @@ from dmptm_ctrl.simulate.elementary import address_of
 from dmptm_ctrl.simulate.lanes import LANES, aligned, calls_of, lane_engine, rows_of
 from dmptm_ctrl.simulate.loading import loops as loops_of
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.observer import UNLED, Observer
+from dmptm_ctrl.simulate.observer import NO_OBSERVER, Observer
 from dmptm_ctrl.simulate.plant import Flags, Floats, Plant, Structure, numbers, structure_of
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.run import NOBODY, Controller
@@ -38,7 +38,7 @@ class Common(NamedTuple):
     noise: Floats  # (batch or 1, n), or none
     columns: tuple[str, ...]  # kept of what is seen
     every: int = 1
-    judged: tuple[str, ...] = ()  # of what statistics are
+    summed: tuple[str, ...] = ()  # of what statistics are
     begin: float = 0.0
     measured: Floats = np.zeros((0, 0, 0))  # (batch or 1, m, n), what observers follow, or none
 
@@ -86,8 +86,8 @@ def run_many(
     Controllers of `loops` are of one function; `observers` of the same sensors and leaks, they
     follow what is measured. `jobs` are threads, −1 for one per core; else joblib's, on whatever
     backend is chosen. `width` is that of the lanes, 16 or 8; `switched` as of :func:`same_shape`.
-    Returns arrays (columns, kept samples), and (4, judged) of the least, greatest, sum and sum of
-    squares of what is judged.
+    Returns arrays (columns, kept samples), and (4, summed) of the least, greatest, sum and sum of
+    squares of what has statistics.
     """
     tasks: list[Any] = []
     for members, on, structure in same_shape([m.plant() for m in models], switched=switched):
@@ -108,8 +108,8 @@ def run_many(
     outputs: list[Floats] = [np.empty(0)] * len(models)
     statistics = list(outputs)
     for some, kept, found in done:
-        for k, out, judged in zip(some, kept, found, strict=True):
-            outputs[k], statistics[k] = out, judged
+        for k, out, sums in zip(some, kept, found, strict=True):
+            outputs[k], statistics[k] = out, sums
     return outputs, statistics
 
 
@@ -156,19 +156,20 @@ def _lanes(
     room = int(np.ceil(dead.max(initial=0.0))) + 2
     inputs = len(structure.inputs)
     kept = np.zeros((width, inputs, room))
-    led = (observers or [UNLED] * lanes) + [observers[-1] if observers else UNLED] * (width - lanes)
-    gains = np.stack([o.gains for o in led], axis=-1)
-    shown = np.stack([o.shown(p) for o, p in zip(led, padded, strict=True)], axis=-1)
+    last = observers[-1] if observers else NO_OBSERVER
+    each = [*(observers or [NO_OBSERVER] * lanes), *[last] * (width - lanes)]
+    gains = np.stack([o.gains for o in each], axis=-1)
+    shown = np.stack([o.shown(p) for o, p in zip(each, padded, strict=True)], axis=-1)
     kept_samples = -(-common.samples // common.every) if common.columns else 0
     out = np.empty((lanes, len(common.columns), kept_samples))
-    columns, judged = (
+    columns, summed = (
         np.array([rows.seen.index(name) for name in names], np.int64)
-        for names in (common.columns, common.judged)
+        for names in (common.columns, common.summed)
     )
     sensors = len(structure.sensors)
     torques = (columns >= sensors) & (columns < count - inputs)
     loops_of(width).march_lanes(
-        table, lanes, *calls_of(structure, width, on, bool(torques.any() or judged.size)),
+        table, lanes, *calls_of(structure, width, on, bool(torques.any() or summed.size)),
         structure.coordinates, inputs, rows.index["u0"], rows.anew or bool(dead.any()),
         rows.index[rows.seen[0]], count,
         common.u, kept, np.zeros(inputs), dead, bool(dead.any()), ring,
@@ -176,9 +177,9 @@ def _lanes(
         common.substeps, address_of(laws[0].function), np.array([law.rule for law in laws]),
         np.zeros((width, laws[0].memory)), common.target, common.noise, closed,
         np.zeros(sensors), np.zeros(inputs),
-        led[0].sensors, common.measured, gains, shown, led[0].leak,
-        np.zeros((led[0].leak.size, width)), np.zeros((2 * structure.coordinates, width)),
-        columns, common.every, out, judged.size > 0, common.samples,
+        each[0].sensors, common.measured, gains, shown, each[0].leak,
+        np.zeros((each[0].leak.size, width)), np.zeros((2 * structure.coordinates, width)),
+        columns, common.every, out, summed.size > 0, common.samples,
     )  # fmt: skip
-    found = table[first : first + 4 * count].reshape(4, count, width)[:, judged, :lanes]
+    found = table[first : first + 4 * count].reshape(4, count, width)[:, summed, :lanes]
     return some, out, found.transpose(2, 0, 1)

@@ -168,7 +168,8 @@ def read_model(path: str | PathLike[str]) -> Model | RigModel:
     Raises
     ------
     LogError
-        See :func:`from_toml`; also a file that cannot be read.
+        No such file, no TOML, an effect or a parameter that does not exist, a value that no
+        drive has.
 
     Examples
     --------
@@ -186,8 +187,8 @@ def read_model(path: str | PathLike[str]) -> Model | RigModel:
 
 def model_of(text: str, name: str) -> Model | RigModel:
     """Read the text of a model file of any drive; LogError as `read_model`."""
-    chain = parse_toml(text, name).get("kind") == RIG
-    return rig_model_from_toml(text, name) if chain else from_toml(text, name=name)
+    of_rig = parse_toml(text, name).get("kind") == RIG
+    return rig_model_from_toml(text, name) if of_rig else from_toml(text, name=name)
 
 
 def model_text(model: Model | RigModel) -> str:

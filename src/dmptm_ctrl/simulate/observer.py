@@ -1,4 +1,4 @@
-"""Runs led by what sensors measured: each sample moves the state by what was missed.
+"""Runs corrected by what sensors measured: each sample moves the state by what was missed.
 
 With ``leak`` 1 it is Luenberger's observer: the miss of a sample moves the state and is
 forgotten. With less a part of it stays: the coordinates are where the sensor says, so that
@@ -34,7 +34,7 @@ class Observer(NamedTuple):
         return ratio[:, None] * self.gains[at]
 
 
-UNLED = Observer(np.zeros(0, np.int64), np.zeros((0, 0)), np.zeros(0))
+NO_OBSERVER = Observer(np.zeros(0, np.int64), np.zeros((0, 0)), np.zeros(0))
 
 
 def rigid_observer(plant: Plant, sensor: int, gains: Sequence[float]) -> Observer:

@@ -152,8 +152,8 @@ _GAP = {"cosine": "cosine", "sine": "sine"}  # of one mesh
 _TEETH = "orders"  # search of numbers that no file states
 
 PLACED_CATALOGUE: dict[str, PlacedEffect] = {
-    chain.name: chain
-    for chain in (
+    entry.name: entry
+    for entry in (
         *(whole(effect_of(f"{kind}_friction")) for kind in ("viscous", "coulomb")),
         *(whole(effect_of(name)) for name in ("friction_asymmetry", "stribeck_friction")),
         _one_side("presliding", {"ring_distance": "distance"}, RING),
@@ -191,14 +191,16 @@ PLACED_CATALOGUE: dict[str, PlacedEffect] = {
 }
 
 
-def register(chain: PlacedEffect) -> PlacedEffect:
+def register(entry: PlacedEffect) -> PlacedEffect:
     """Add a user's own effect for drives of any shape; ValueError for a wrong name or site."""
-    if chain.name in PLACED_CATALOGUE:
-        raise ValueError(f"effect {chain.name!r} is in the chain catalogue; choose another name")
-    if chain.site not in SITES:
-        raise ValueError(f"effect {chain.name!r}: chains have no site {chain.site!r}")
-    PLACED_CATALOGUE[chain.name] = chain
-    return chain
+    if entry.name in PLACED_CATALOGUE:
+        raise ValueError(
+            f"effect {entry.name!r} is in the catalogue of rig files; choose another name"
+        )
+    if entry.site not in SITES:
+        raise ValueError(f"effect {entry.name!r}: rig files have no site {entry.site!r}")
+    PLACED_CATALOGUE[entry.name] = entry
+    return entry
 
 
 def place_of(rig: Rig, declared: DeclaredEffect) -> str:
@@ -208,46 +210,46 @@ def place_of(rig: Rig, declared: DeclaredEffect) -> str:
         TableReader(rig.text, rig.source).fail(f"effect.{name}", key, message)
 
     name, on = declared.name, declared.on
-    if (chain := PLACED_CATALOGUE.get(name)) is None:
+    if (entry := PLACED_CATALOGUE.get(name)) is None:
         near = difflib.get_close_matches(name, PLACED_CATALOGUE, 1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         fail("", f"no effect {name!r}; {hint}there are {', '.join(PLACED_CATALOGUE)}")
-    has = {p.name: p for p in chain.keep}
+    has = {p.name: p for p in entry.keep}
     for key, value in declared.values.items():
         if key not in has:
-            fail(key, f"{name} has no parameter {key!r}; it has {_listed(chain, has)}")
+            fail(key, f"{name} has no parameter {key!r}; it has {_listed(entry, has)}")
         if has[key].low == 0.0 > value.value:
             fail(key, f"{key} is {value.value:g}; it must be zero or more")
-    lacking = [p.name for p in chain.effect.parameters if p.name not in declared.values]
-    if chain.site == "shaft" and lacking:
+    lacking = [p.name for p in entry.effect.parameters if p.name not in declared.values]
+    if entry.site == "shaft" and lacking:
         fail("", f"{name} needs {', '.join(lacking)}")
     parts: dict[str, tuple[Any, ...]] = {
         "input": rig.inputs, "body": rig.bodies, "link": rig.links, "sensor": rig.sensors,
     }  # fmt: skip
     rigid = tuple(link for link in rig.links if link.rigid)
-    may = [part.name for part in (*parts[chain.place], *(rigid if chain.site == "shaft" else ()))]
+    may = [part.name for part in (*parts[entry.place], *(rigid if entry.site == "shaft" else ()))]
     kind = {"input": "an input", "body": "a body", "link": "a shaft or mesh", "sensor": "a sensor"}
-    stands = f"{name} stands on {kind[chain.place]}: {', '.join(may) or 'the rig has none'}"
-    if not on and (len(may) == 1 or (may and chain.place == "body")):
+    stands = f"{name} stands on {kind[entry.place]}: {', '.join(may) or 'the rig has none'}"
+    if not on and (len(may) == 1 or (may and entry.place == "body")):
         on = may[0]
     if on not in may:
         fail("on", f"{stands}; not on {on!r}" if on else f"on = … is missing; {stands}")
     softened = any(e.name == _SHAFT.name and e.on == on for e in rig.effects)
-    if chain.place == "link" and on in {link.name for link in rigid} and not softened:
+    if entry.place == "link" and on in {link.name for link in rigid} and not softened:
         fail("on", f"{name} on {on}, which is rigid; give it a stiffness")
-    if chain.place == "body" and rig.body(on).linear and chain.effect.wave and "order" not in has:
+    if entry.place == "body" and rig.body(on).linear and entry.effect.wave and "order" not in has:
         fail("on", f"{name} goes with a turn, and {on} slides; a constant load is drive_offset")
-    if not any(p in declared.values for p in chain.amplitudes):
-        there = chain._replace(
-            keep=tuple(p._replace(unit=unit_at(on, rig, p.unit)) for p in chain.keep)
+    if not any(p in declared.values for p in entry.amplitudes):
+        there = entry._replace(
+            keep=tuple(p._replace(unit=unit_at(on, rig, p.unit)) for p in entry.keep)
         )
         fail("", f"{name} has no size, so it does nothing; give {_listed(there, there.amplitudes)}")
     return on
 
 
-def _listed(chain: PlacedEffect, names: Iterable[str]) -> str:
+def _listed(entry: PlacedEffect, names: Iterable[str]) -> str:
     """Return names of parameters with their units."""
-    units = {p.name: f" [{p.unit}]" * bool(p.unit) for p in chain.keep}
+    units = {p.name: f" [{p.unit}]" * bool(p.unit) for p in entry.keep}
     return ", ".join(f"{name}{units[name]}" for name in names)
 
 
@@ -264,12 +266,12 @@ def all_places(
     index: dict[str, tuple[int, int]] = {}
     first = 0
     # a lag is a number of its input
-    chains = [c for c in PLACED_CATALOGUE.values() if c.site in CALLED and c.site != "lag"]
+    entries = [c for c in PLACED_CATALOGUE.values() if c.site in CALLED and c.site != "lag"]
     # part by part, so that flags and numbers of each stand alike
     for kind, parts_ in named.items():
         for k, part in enumerate(parts_):
-            for chain in (c for c in chains if c.place == kind):
-                index[f"{chain.name}@{part}"] = len(places), first
-                places.append(Place(chain.effect, k, chain.side, len(places), first))
-                first += len(chain.fields)
+            for entry in (c for c in entries if c.place == kind):
+                index[f"{entry.name}@{part}"] = len(places), first
+                places.append(Place(entry.effect, k, entry.side, len(places), first))
+                first += len(entry.fields)
     return tuple(places), index, np.hstack([p.effect.defaults() for p in places])

@@ -83,10 +83,10 @@ def link_matrices(plant: Plant) -> tuple[Floats, Floats, Floats, Floats]:
     n = plant.inertia.size
     ends, ratio = plant.link_body, plant.link_values[:, 0]
     rows = _twists(ends, ratio, plant.body_coordinate, plant.body_ratio, n)
-    # flanks that damp by depth do not where contact begins
+    # a law that damps by depth does not where contact begins
     dampers = np.where(plant.link_gap == ELASTIC_IMPACT, 0.0, plant.link_values[:, 2])
-    slopes = plant.body_ratio**2 * 0.5 * (plant.law[:, 3] + plant.law[:, 7])
-    viscous = np.bincount(plant.body_coordinate, slopes, n).astype(float)
+    damping = plant.body_ratio**2 * 0.5 * (plant.law[:, 3] + plant.law[:, 7])
+    viscous = np.bincount(plant.body_coordinate, damping, n).astype(float)
     return rows, plant.link_values[:, 1], dampers, viscous
 
 

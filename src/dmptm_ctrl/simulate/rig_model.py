@@ -389,9 +389,9 @@ def link_inertias(model: RigModel, link: str) -> tuple[float, float]:
 
 def angle_body(model: RigModel, effect: Placed) -> str:
     """Body whose angle an effect goes with: in a mesh the pinion comes first, the gear second."""
-    chain, name = PLACED_CATALOGUE[effect.name], effect.on
-    for link in (k for k in model.rig.links if chain.place == "link" and k.name == name):
-        return link.second if "theta_L" in chain.effect.depends_on else link.first
+    entry, name = PLACED_CATALOGUE[effect.name], effect.on
+    for link in (k for k in model.rig.links if entry.place == "link" and k.name == name):
+        return link.second if "theta_L" in entry.effect.depends_on else link.first
     return name
 
 
@@ -492,7 +492,7 @@ def _placed(model: RigModel, layout: Layout) -> tuple[tuple[Place, ...], Flags, 
 
 def value_row(effect: Placed) -> Floats:
     """Parameters of an effect as its kernel takes them; what is left out is absent."""
-    chain = PLACED_CATALOGUE[effect.name]
-    named = zip(chain.keep, chain.defaults, strict=True)
+    entry = PLACED_CATALOGUE[effect.name]
+    named = zip(entry.keep, entry.defaults, strict=True)
     row = [effect.values.get(p.name, default) for p, default in named]
-    return np.array([row[f] if isinstance(f, int) else f for f in chain.fields], float)
+    return np.array([row[f] if isinstance(f, int) else f for f in entry.fields], float)

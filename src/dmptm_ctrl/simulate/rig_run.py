@@ -1,4 +1,4 @@
-"""Simulate chains and branched trains: compiled, linear, and as python-control blocks."""
+"""Simulate rigs of any shape: compiled, linear, and as python-control blocks."""
 
 from collections.abc import Mapping
 from inspect import signature
@@ -30,7 +30,7 @@ def as_rig_model(model: Rig | RigModel, name: str) -> RigModel:
 
 
 class RigRun:
-    """Motion of a rig on a clock; another run goes on from its `state`.
+    """Motion of a rig on a clock; another run continues from its `state`.
 
     `u` (inputs, n) are as the controller gave them where a loop was closed.
     """
@@ -95,10 +95,11 @@ def march(
     observer: Observer | None = None,
     measured: Floats | None = None,
 ) -> RigRun:
-    """Run a chain.
+    """Run a rig.
 
     Parameters
     ----------
+    model : RigModel
     u : (inputs, n) array
         Signals of the inputs, SI, held from each sample to the next.
     dt : float
@@ -120,9 +121,9 @@ def march(
     push : mapping of body to (n,) array, optional
         Torques [N·m] or forces added on bodies.
     state : State, optional
-        Of an earlier run of the same model, to go on from.
+        Of an earlier run of the same model; this one continues from there.
     observer, measured : Observer and (m, n) array, optional
-        Lead the run by what its sensors measured.
+        Corrects the run by what its sensors measured.
     """
     plant, layout = model.plant(), model.layout
     n = u.shape[1]

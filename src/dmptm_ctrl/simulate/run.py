@@ -10,7 +10,7 @@ from numba import float64, int64, types
 
 from dmptm_ctrl.simulate.elementary import address_of, compiled_callback, table_of
 from dmptm_ctrl.simulate.loading import loops
-from dmptm_ctrl.simulate.observer import UNLED, Observer
+from dmptm_ctrl.simulate.observer import NO_OBSERVER, Observer
 from dmptm_ctrl.simulate.plant import NO_ROWS, Floats, Ints, Plant, Structure, numbers, structure_of
 from dmptm_ctrl.simulate.scalar import advance_of, scalar_engine
 from dmptm_ctrl.simulate.sites import acting
@@ -47,7 +47,7 @@ NOBODY = Controller(_open, _NOTHING, 1)
 
 @dataclass(frozen=True)
 class State:
-    """What a run goes on from."""
+    """State from which a run continues."""
 
     names: tuple[str, ...]
     # by `names`: coordinates q, their speeds v, those one step before p, and what meshes, lags,
@@ -74,7 +74,7 @@ class Motion(NamedTuple):
     # coordinates, their speeds; or the first of these columns
     rows: Floats
     size: tuple[int, int, int, int, int]  # of the plant
-    state: State  # at the end of the last sample's interval, to go on from
+    state: State  # at the end of the last sample's interval, to continue from
 
     def _part(self, first: int, count: int) -> Floats:
         return self.rows[:, first : first + count]
@@ -162,8 +162,9 @@ def advance(
     memory = np.array(state.memory) if state.memory.size else np.zeros(law.memory)
     count, _, links, inputs, sensors = plant.size
     whole = sensors + 2 * links + 2 * count
-    led = UNLED if observer is None else observer
-    lead = np.array(state.lead) if state.lead.size == led.leak.size else np.zeros(led.leak.size)
+    observer = NO_OBSERVER if observer is None else observer
+    size = observer.leak.size
+    lead = np.array(state.lead) if state.lead.size == size else np.zeros(size)
     out = np.empty((n, whole if columns is None else columns))
     engine = scalar_engine(structure)
     acts, posts, sites = acting(structure, plant)
@@ -183,10 +184,10 @@ def advance(
         dt, substeps, address_of(law.function), law.rule, memory,
         _NONE if target is None else np.array(target, float),
         _NONE if noise is None else np.array(noise, float),
-        controller is not None, np.zeros(inputs), led.sensors,
+        controller is not None, np.zeros(inputs), observer.sensors,
         np.zeros((0, 0, 0)) if measured is None else own_rows(measured)[None],
-        np.ascontiguousarray(led.gains)[..., None], led.shown(plant)[..., None], led.leak,
-        lead[:, None], np.zeros((2 * count, 1)), out,
+        np.ascontiguousarray(observer.gains)[..., None], observer.shown(plant)[..., None],
+        observer.leak, lead[:, None], np.zeros((2 * count, 1)), out,
     )  # fmt: skip
     used = int(np.ceil(dead.max(initial=0.0))) + 1 if dead.any() else 0
     after = replace(

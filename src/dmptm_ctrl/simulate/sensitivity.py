@@ -2,7 +2,7 @@
 
 Each parameter is moved a little in a lane of its own beside the run, so that what changes is the
 derivative of the scheme itself, whatever the run meets.
-All parameters moved the other way together are a lane too: where the run is differentiable they
+All parameters moved in reverse together are a lane too: where the run is differentiable they
 change minus the sum of the others, and where that is not so the derivative from one side is not
 that from the other and does not exist. A derivative converges with the first order of the step
 where events lie before it, the run itself with the second.
@@ -175,7 +175,7 @@ def simulate_with_sensitivities(
 def _existing(
     outputs: Floats, derivatives: Floats, back: Floats, steps: Floats
 ) -> NDArray[np.bool_]:
-    """Where derivatives exist; `back` is what all parameters change the other way."""
+    """Where derivatives exist; `back` is what all parameters change in reverse."""
     rounding = NOISE * STEP * np.ptp(outputs, axis=1) * steps.size
     together = back + np.tensordot(steps, derivatives, 1)
     size = np.abs(back) + np.tensordot(steps, np.abs(derivatives), 1)

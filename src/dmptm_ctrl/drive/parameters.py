@@ -136,7 +136,7 @@ class Drive(Mapping[str, float]):
         new = dict(self.quantities)
         for key, value in values.items():
             self[key]
-            if not isinstance(value, SupportsFloat):
+            if not isinstance(value, float | SupportsFloat):  # the first is the quicker one
                 raise TypeError(f"{key} is {value!r}; it must be a number")
             new[key] = replace(new[key], value=float(value))
         return Drive(new, self.name)

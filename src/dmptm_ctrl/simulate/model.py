@@ -72,7 +72,7 @@ class Model:
                 if key not in has:
                     raise KeyError(f"effect {name!r} has no parameter {key!r}; it has {has}")
                 value = parameters[key]
-                if not isinstance(value, Real):
+                if not isinstance(value, float | Real):
                     raise TypeError(f"effect {name}: {key} is {value!r}; it must be a number")
                 if isnan(value):
                     raise ValueError(f"effect {name}: {key} is NaN; it must be a number")

@@ -38,7 +38,7 @@ from dmptm_ctrl.identify.gap_search import from_elsewhere
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.likelihood import Likelihood
 from dmptm_ctrl.identify.measured_motion import Nuisance
-from dmptm_ctrl.identify.pushing_teeth import pushing
+from dmptm_ctrl.identify.pushing_teeth import pushing, with_gaps
 from dmptm_ctrl.identify.rig_fit import (
     RigFit,
     fit_rig,
@@ -306,9 +306,13 @@ class RigEvidence:
 
     def closed(self, state: RigState) -> RigState:
         """Let a model show anew when teeth touch, and on which flank, and fit again."""
-        if self.read and (state.logs.closed or state.logs.teeth):
-            model, read = state.fit.model, self.read
-            both = (touching(one, model, read) for one in (state.logs, state.held))
+        model, read = state.fit.model, self.read
+        logs, held = (with_gaps(one, model) for one in (state.logs, state.held))
+        if read and (logs.closed or logs.teeth):
+            if logs.teeth != state.logs.teeth:  # noise of another equation
+                like = replace(state.fit.likelihood, noise=None)
+                state = replace(state, fit=replace(state.fit, likelihood=like))
+            both = (touching(one, model, read) for one in (logs, held))
             state = self.refit(state, *(pushing(one, model, read) for one in both))
         return self._counted(state)
 

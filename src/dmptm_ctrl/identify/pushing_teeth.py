@@ -11,9 +11,10 @@ from dmptm_ctrl.identify.forces import forces_of
 from dmptm_ctrl.identify.free_parameters import same_twist
 from dmptm_ctrl.identify.inverse_dynamics import TAIL, Balance
 from dmptm_ctrl.identify.measured_motion import NONE, Motion, Moves, reading_variance
-from dmptm_ctrl.identify.teeth import twist_of
+from dmptm_ctrl.identify.teeth import toothed, twist_of
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Floats
+from dmptm_ctrl.simulate.placed_effects import BACKLASH
 from dmptm_ctrl.simulate.plant import link_matrices
 from dmptm_ctrl.simulate.rig_model import RigModel
 
@@ -22,7 +23,15 @@ SWINGS = 2.0  # periods of the bandwidth, over which it is looked at how far tee
 
 def in_contact(balance: Balance, model: RigModel, logs: Sequence[Log]) -> Balance:
     """Mark when teeth touch, by a model on the logs."""
+    balance = with_gaps(balance, model)
     return pushing(touching(centred(balance, model), model, logs), model, logs)
+
+
+def with_gaps(balance: Balance, model: RigModel) -> Balance:
+    """Take the twists of gaps that a model has beside the declared ones as those are taken."""
+    found = {e.on for e in model.effects if e.name == BACKLASH.name}
+    teeth = toothed(model.rig, balance.points, found)
+    return replace(balance, teeth=teeth, known={}, noises={}) if teeth != balance.teeth else balance
 
 
 def centred(balance: Balance, model: RigModel) -> Balance:

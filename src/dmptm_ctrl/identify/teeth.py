@@ -10,7 +10,7 @@ chatter, which no model predicts; until they push again, only the balance of all
 Source: paper Eq. 21, in contact.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 from math import isfinite
@@ -30,25 +30,26 @@ if TYPE_CHECKING:
     from dmptm_ctrl.identify.inverse_dynamics import Balance, Point
 
 
-def toothed(rig: Rig, points: tuple["Point", ...]) -> dict[str, int]:
+def toothed(rig: Rig, points: tuple["Point", ...], found: Container[str] = ()) -> dict[str, int]:
     """Links that are measured so, each with the equation that it takes.
 
     Of the two sides of a link that is the one of the point beyond it, seen from the first point.
+    Gaps of some links may have been `found` where none is declared.
     """
     first: dict[str, int] = {}
     for k, point in enumerate(points):
         for body in rig.turns(point.body, rigidly=True):
             first.setdefault(body, k)
-    found = {}
-    for link in (k for k in rig.links if not k.rigid and _declared(k)):
+    taken = {}
+    for link in (k for k in rig.links if not k.rigid and (k.name in found or _declared(k))):
         if not all(b in first and points[first[b]].sight.angle for b in (link.first, link.second)):
             continue
         cut = replace(rig, links=tuple(k for k in rig.links if k is not link))
         here = cut.turns(points[0].body)
         beyond = [b for b in (link.first, link.second) if b not in here]
         if len(beyond) == 1:
-            found[link.name] = first[beyond[0]]
-    return found
+            taken[link.name] = first[beyond[0]]
+    return taken
 
 
 def _declared(link: Link) -> bool:

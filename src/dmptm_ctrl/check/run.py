@@ -20,6 +20,7 @@ from dmptm_ctrl.check.moved import (
     entries_of,
     find_moved,
     information_of,
+    too_short,
 )
 from dmptm_ctrl.signals import Campaign, Log, LogError, load_logs
 from dmptm_ctrl.signals.atomic import check_folder, output_folder
@@ -191,6 +192,7 @@ def check(
             each[log.name] = show([log])[1]
     apart = disagreement(each, [c.entry for c in alone], [c.entry for c in moved], tolerance)
     notes += [apart] if apart else []
+    notes += too_short(alone, len(shown[newest][1].scores))
     rms, unit = evidence.torque_rms, evidence.unit
     return Check(moved, alone, rms, floor, unit, names, trend, tuple(notes))
 

@@ -45,14 +45,11 @@ def run(machine, controller, target, seed):
     return float(np.sqrt(np.mean(miss**2)))
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--machines", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=1)
-    asked = parser.parse_args()
+def gains(machines, seed):
+    """Predicted and measured share of the error that compensation takes off, (machines, 2)."""
     rows = []
-    for k in range(asked.machines):
-        rng = np.random.default_rng([asked.seed, k])
+    for k in range(machines):
+        rng = np.random.default_rng([seed, k])
         machine = rig_machine(rng)
         model, _ = rig_fitted(machine, rig_campaign(machine, rng))
         aims = rig_aims(model, limit=LIMIT)
@@ -67,7 +64,16 @@ def main():
             f"{', '.join(tuned.parts.index)}",
             flush=True,
         )
-    for name, shares in zip(("predicted", "measured"), np.transpose(rows), strict=True):
+    return np.array(rows)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--machines", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=1)
+    asked = parser.parse_args()
+    rows = gains(asked.machines, asked.seed)
+    for name, shares in zip(("predicted", "measured"), rows.T, strict=True):
         print(f"{name}: median {np.median(shares):.0%}, worst {shares.min():.0%}")
 
 

@@ -174,6 +174,18 @@ def test_a_bandwidth_goes_before_the_recorded_one(model, tmp_path):
     assert found[0] == found[1] != found[2]
 
 
+def test_a_number_that_the_balance_gives_otherwise_is_no_change(model, tmp_path):
+    """Runs gave the model more friction than its balance of torques has, as a check's has."""
+    key = "body.motor.viscous"
+    size, path = model.value(key), tmp_path / "model.toml"
+    path.write_text(model_text(model.with_values({key: 1.5 * size})), encoding="utf-8")
+    recorded, logs = {"declared": {key: {"se": 1e-3 * size}}}, logs_of(BENCH, 3)[1]
+    for more, moved in (({}, ["viscous of motor"]), ({key: 0.5 * size}, [])):
+        content = json.dumps(recorded | {"apart_from_balance": more})
+        path.with_name("diagnosis.json").write_text(content, encoding="utf-8")
+        assert [c.entry.name for c in check(path, logs).moved] == moved
+
+
 @pytest.fixture(scope="module")
 def loose():
     """A machine with a gap between two encoders, and the model of a fit."""

@@ -266,7 +266,9 @@ def _errors(recorded: Mapping[str, Any]) -> dict[str, float]:
             if entry.get("se"):
                 for owner in (effect["name"], f"{effect['name']}@{effect.get('location')}"):
                     found[f"{owner}.{name}"] = float(entry["se"])
-    return found
+    # what runs of the model moved, a balance of other logs gives otherwise as well
+    apart = recorded.get("apart_from_balance", {})
+    return {key: max(se, float(apart.get(key, 0.0))) for key, se in found.items()}
 
 
 def _floor(recorded: Mapping[str, Any]) -> tuple[float | None, float | None]:

@@ -85,17 +85,16 @@ def rig_changed(truth, what):
     return replace(truth, **{name: factor * getattr(truth, name) for name in names})
 
 
-def rig_campaign(truth, rng):
-    """Its rig file, and four logs as sensors give them."""
+def rig_campaign(truth, rng, homed=False):
+    """Its rig file, and four logs as sensors give them; encoders start anywhere, or are homed."""
     bench = Bench(
         truth, sensors=("speed", "position", "speed2", "position2"), seconds=6.0,
-        speed_noise=0.1, counts=65536, drift=0.01, zero=True, seed=int(rng.integers(1 << 30)),
+        speed_noise=0.1, counts=65536, drift=0.01, zero=not homed, seed=int(rng.integers(1 << 30)),
         extra={"shaft": SHAFT},
     )  # fmt: skip
     text = bench.rig()
-    for column, unit, more in (
-        ("q", "rad", 'resolution = "65536 counts/rev"'), ("w", "rad/s", 'noise = "0.1 rad/s"')
-    ):  # fmt: skip
+    encoder = 'resolution = "65536 counts/rev"' + homed * "\nabsolute = true"
+    for column, unit, more in (("q", "rad", encoder), ("w", "rad/s", 'noise = "0.1 rad/s"')):
         for name in (column, f"{column}2"):
             begin = f'column = "{name}"\nunit = "{unit}"\n'
             text = text.replace(begin, f"{begin}{more}\n")

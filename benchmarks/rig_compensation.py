@@ -5,7 +5,8 @@
 Each machine is a motor that drives a load through a gap, with cogging and LuGre friction, drawn and
 simulated by the program of tests/rig_files. A model is fitted to its logs. On that model one
 controller is tuned with compensation and one without; both run on the machine, on a duty that
-neither was tuned for. Its encoder counts and its speed reading is noisy, as in the logs.
+neither was tuned for. Its encoder counts and its speed reading is noisy, as in the logs. Encoders
+keep their zero: else no controller could know where cogging begins.
 """
 
 import argparse
@@ -51,7 +52,7 @@ def gains(machines, seed):
     for k in range(machines):
         rng = np.random.default_rng([seed, k])
         machine = rig_machine(rng)
-        model, _ = rig_fitted(machine, rig_campaign(machine, rng))
+        model, _ = rig_fitted(machine, rig_campaign(machine, rng, homed=True))
         aims = rig_aims(model, limit=LIMIT)
         tuned = tune_controller(model, aims, uncertainty=FITTED, plants=64, jobs=1)
         target = judged(aims.duty.reference.max())

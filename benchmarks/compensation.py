@@ -132,29 +132,35 @@ def one_rig(seed, folder, plants, declared):
     return row
 
 
-def main():
+def results_of(out, rigs, seed, plants):
+    """Results of each rig, kept in a folder; what is there already is not done again."""
     from dmptm_ctrl.design.tune import tune_controller
     from dmptm_ctrl.simulate.model import Model
 
+    out.mkdir(parents=True, exist_ok=True)
+    results = out / "results.jsonl"
+    lines = results.read_text().splitlines() if results.exists() else []
+    rows = [json.loads(line) for line in lines]
+    declared = tune_controller(Model(), plants=plants, jobs=1)
+    for number in range(1000 * seed, 1000 * seed + rigs):
+        folder = out / str(number)
+        if folder.name in [row["rig"] for row in rows]:
+            continue
+        row = one_rig(number, folder, plants, declared)
+        with results.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        rows.append(row)
+    return rows
+
+
+def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--rigs", type=int, default=10)
     parser.add_argument("--seed", type=int, default=8)
     parser.add_argument("--plants", type=int, default=64, help="drawn to predict each gain")
     asked = parser.parse_args()
-    asked.out.mkdir(parents=True, exist_ok=True)
-    results = asked.out / "results.jsonl"
-    lines = results.read_text().splitlines() if results.exists() else []
-    rows = [json.loads(line) for line in lines]
-    declared = tune_controller(Model(), plants=asked.plants, jobs=1)
-    for seed in range(1000 * asked.seed, 1000 * asked.seed + asked.rigs):
-        folder = asked.out / str(seed)
-        if folder.name in [row["rig"] for row in rows]:
-            continue
-        row = one_rig(seed, folder, asked.plants, declared)
-        with results.open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        rows.append(row)
+    rows = results_of(asked.out, asked.rigs, asked.seed, asked.plants)
     print("rms tracking error [deg/s] and share of it that the compensation takes off [%]")
     for row in rows:
         shares = [round(100 * row[key]) for key in ("predicted", "sure", "measured")]

@@ -13,6 +13,7 @@ import check as bench_of
 from dmptm_ctrl.check.evidence import evidence_of, only_own
 from dmptm_ctrl.check.moved import entries_of, find_moved, information_of
 from dmptm_ctrl.check.run import check
+from dmptm_ctrl.cli import main
 from dmptm_ctrl.diagnosis.rig_diagnose import split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.drive.rigfile import parse_rig
@@ -23,6 +24,7 @@ from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.model_file import model_text
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.testing import assert_explained
 
 MACHINE = Machine(fc=0.02, fs=0.02, cog=0.01, order=7.0, b1=4e-4)
 BENCH = Bench(MACHINE, sensors=("speed", "position"), zero=True, seconds=6.0)
@@ -76,6 +78,39 @@ def test_a_change_is_found_with_its_size(model, name):
     moved, _ = checked(model, bench, 9)
     assert moved[0].entry.name == name
     assert moved[0].change == pytest.approx(size, rel=0.25)
+
+
+@pytest.fixture(scope="module")
+def folder(model, tmp_path_factory):
+    """What a user has: a model, the same machine's logs, and those of a worn one, with dates."""
+    path = tmp_path_factory.mktemp("rig")
+    (path / "model.toml").write_text(model_text(model), encoding="utf-8")
+    worn = replace(MACHINE, **CHANGES["coulomb_friction@motor"][0])
+    for name, machines in {"same": [MACHINE], "worn": [worn], "dated": [MACHINE, worn]}.items():
+        (path / name).mkdir()
+        for month, machine in enumerate(machines, start=1):
+            few = BENCH.with_(machine=machine, seed=8, kinds=BENCH.kinds[:2])
+            for log, columns in few.logs().items():
+                file = path / name / f"2026-0{month}-01_{log}.csv"
+                pd.DataFrame(columns).to_csv(file, index=False)
+    return path
+
+
+def test_assert_explained_of_a_rig_file_s_drive(folder):
+    assert assert_explained(folder / "model.toml", folder / "same").same
+    with pytest.raises(AssertionError, match=r"changed:\n  coulomb_friction@motor: \+"):
+        assert_explained(folder / "model.toml", folder / "worn")
+
+
+def test_dated_logs_of_a_rig_file_s_drive_give_a_trend(folder, tmp_path):
+    model = ["--model", str(folder / "model.toml"), "--quiet", "--out", str(tmp_path / "dated")]
+    assert main(["check", str(folder / "dated"), *model]) == 1
+    assert (tmp_path / "dated" / "trend.png").read_bytes().startswith(b"\x89PNG")
+    rows = json.loads((tmp_path / "dated" / "check.json").read_text("utf-8"))["trend"]
+    assert [row["date"][:10] for row in rows] == ["2026-01-01", "2026-02-01"]
+    entries = [{e["name"]: e["change"] for e in row["entries"]} for row in rows]
+    drift = [one["coulomb_friction@motor"] for one in entries]
+    assert drift == pytest.approx([0.0, 0.2], abs=0.03)
 
 
 @pytest.mark.parametrize("name", CHANGES)
@@ -136,6 +171,18 @@ def test_a_bandwidth_goes_before_the_recorded_one(model, tmp_path):
     path.with_name("diagnosis.json").write_text(recorded, encoding="utf-8")
     found = [check(path, logs, bandwidth=band).torque_rms for band in (None, 5.0, 10.0)]
     assert found[0] == found[1] != found[2]
+
+
+def test_a_number_that_the_balance_gives_otherwise_is_no_change(model, tmp_path):
+    """Runs gave the model more friction than its balance of torques has, as a check's has."""
+    key = "body.motor.viscous"
+    size, path = model.value(key), tmp_path / "model.toml"
+    path.write_text(model_text(model.with_values({key: 1.5 * size})), encoding="utf-8")
+    recorded, logs = {"declared": {key: {"se": 1e-3 * size}}}, logs_of(BENCH, 3)[1]
+    for more, moved in (({}, ["viscous of motor"]), ({key: 0.5 * size}, [])):
+        content = json.dumps(recorded | {"apart_from_balance": more})
+        path.with_name("diagnosis.json").write_text(content, encoding="utf-8")
+        assert [c.entry.name for c in check(path, logs).moved] == moved
 
 
 @pytest.fixture(scope="module")

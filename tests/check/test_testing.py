@@ -4,9 +4,32 @@ import control as ct
 import numpy as np
 import pytest
 
+import dmptm_ctrl as dm
 from dmptm_ctrl.design.controller import Controller
+from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.testing import assert_margins, assert_tracks
+
+MASS, FORCE, DT = 4.0, 8.0, 1e-3  # kg, N/V, s
+SLIDE = f"""
+[body.table]
+mass = "{MASS} kg"
+[input.motor]
+column = "u_V"
+body = "table"
+gain = "{FORCE} N/V"
+[sensor.tape]
+column = "v_mm_s"
+body = "table"
+"""
+
+
+@pytest.fixture
+def slide(tmp_path):
+    """Drive of a rig file: a mass and nothing else, which every closed form knows."""
+    (tmp_path / "rig.toml").write_text(SLIDE, encoding="utf-8")
+    return RigModel(load_rig(tmp_path / "rig.toml"))
 
 
 def test_margins_of_a_loop_known_in_closed_form():
@@ -57,3 +80,40 @@ def test_tracking_error_is_that_of_the_simulated_loop(tmp_path):
         assert_tracks(Model(), controller, target, rms=0.5 * error)
     controller.save(tmp_path / "controller.toml")
     assert assert_tracks(Model(), tmp_path / "controller.toml", target, rms=0.5) == error
+
+
+def test_margins_of_a_rig_file_s_drive_in_closed_form(slide):
+    """PI on a mass: with its zero at ω₁ the phase margin is 60° where ω = √3 ω₁."""
+    zero = 4.0
+    kp = 3**0.5 * zero * (1 + 1 / 3) ** -0.5 * MASS / FORCE
+    loop = dm.linearize(slide) * Controller(kp, kp * zero, model=slide).to_ss()
+    assert_margins(loop, phase_deg=59.99)
+    with pytest.raises(AssertionError, match="phase margin is 60 deg"):
+        assert_margins(loop, phase_deg=60.01)
+    with pytest.raises(AssertionError, match="unstable"):
+        assert_margins(-1.0 * loop)
+
+
+def test_margins_of_the_dual_motor_drive_by_its_frequency_response():
+    """The crossover is looked up on a fine grid of frequencies."""
+    pi = dm.tune_pi(dm.three_dof(dm.paper_drive()), bandwidth_hz=10.0, phase_margin_deg=60.0)
+    plant = dm.common_mode(dm.three_dof(dm.paper_drive()))
+    loop = plant * Controller(pi.kp, pi.ki).to_ss()
+    response = loop(2j * np.pi * np.linspace(5.0, 20.0, 15_001))
+    phase = 180.0 + np.rad2deg(np.angle(response[np.argmin(np.abs(np.abs(response) - 1.0))]))
+    assert_margins(loop, phase_deg=phase - 0.05)
+    with pytest.raises(AssertionError, match="phase margin is"):
+        assert_margins(loop, phase_deg=phase + 0.05)
+
+
+def test_tracking_error_of_a_rig_file_s_drive_in_closed_form(slide, tmp_path):
+    """Held for a sample, P on a mass takes the same share off the error each time."""
+    kp, speed = 2.0, 0.3
+    left = (1.0 - kp * FORCE / MASS * DT) ** np.arange(800)
+    rms = speed * np.sqrt(np.mean(left**2))
+    target = np.full(left.size, speed)
+    Controller(kp, 0.0, sample_time=DT, model=slide).save(tmp_path / "controller.toml")
+    found = assert_tracks(slide, tmp_path / "controller.toml", target, rms=1.001 * rms)
+    assert found == pytest.approx(rms, rel=1e-6)
+    with pytest.raises(AssertionError, match=rf"is {rms:.4g} m/s rms; {0.999 * rms:.4g} is"):
+        assert_tracks(slide, tmp_path / "controller.toml", target, rms=0.999 * rms)

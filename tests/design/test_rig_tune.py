@@ -1,6 +1,7 @@
 """A controller for a rig file: its feed-forward by hand, its tuning, its file, its C."""
 
 import json
+from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -16,16 +17,18 @@ from dmptm_ctrl.design.draws import draw_plants
 from dmptm_ctrl.design.duty import usual_duty
 from dmptm_ctrl.design.impact import impact
 from dmptm_ctrl.design.rig_aims import rig_aims
-from dmptm_ctrl.design.tune import tune_controller
+from dmptm_ctrl.design.tune import to_be_homed, tune_controller
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.plots.control import plot_tuning
+from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 from dmptm_ctrl.testing import assert_tracks
 
 DT = 1e-3
 LIMITED = RIG.replace('delay = "1.7 ms"', 'delay = "1.7 ms"\nlimit = "12 V"')
+HOMED = RIG.replace('"theta_deg"\n', '"theta_deg"\nabsolute = true\n')
 MODEL = RigModel(
-    parse_rig(RIG, "rig.toml"),
+    parse_rig(HOMED, "rig.toml"),
     (
         Placed("cogging", "motor", {"cosine": 0.02, "sine": 0.01, "order": 8.0}),
         Placed("unbalance", "load", {"cosine": 0.3, "sine": -0.1}),
@@ -84,6 +87,7 @@ def test_tuning_pays_and_keeps_its_limits(tuned):
     assert errors["optimised"] <= errors["PI, optimised"]
     assert max(row["voltage_max"] for row in tuned.stages) <= 12.0
     assert "friction" in tuned.parts.index
+    assert {"cogging@motor", "unbalance@load"} <= {*tuned.parts.index}
     assert "rms error [rad/s]" in tuned.summary()
     assert tuned.to_dict()["unit"] == "rad/s"
     assert plot_tuning(tuned).get_xlabel() == "rms tracking error [rad/s]"
@@ -133,6 +137,19 @@ def test_the_compiled_controller_closes_the_loop_around_the_compiled_rig(tuned):
     true = close_loop(MODEL, tuned.controller, duty.time, duty.reference).outputs
     assert np.abs(true[1]).max() > 1.0
     np.testing.assert_allclose(np.transpose(rows), true, rtol=0, atol=1e-9 * np.abs(true).max())
+
+
+def test_waves_over_an_angle_without_a_lasting_zero_are_named(tuned):
+    """A run may begin anywhere on them; what has no phase is not named."""
+    spring = Placed("cable_spring", "load", {"stiffness": 0.1})
+    started = RigModel(parse_rig(RIG, "rig.toml"), (*MODEL.effects, spring))
+    assert to_be_homed(started) == ("cogging@motor", "unbalance@load")
+    assert to_be_homed(MODEL) == ()
+    assert to_be_homed(Model().with_effect("unbalance", cosine=4.0)) == ()
+    words = "needs the encoder at the zero of the model's first log: cogging@motor, unbalance@load;"
+    assert words not in tuned.summary()
+    other = replace(tuned, controller=replace(tuned.controller, model=started))
+    assert words in other.summary()
 
 
 def test_command(tmp_path, capsys, monkeypatch, tuned):

@@ -6,6 +6,7 @@ import pytest
 from dmptm_ctrl.diagnosis import rig_ahead
 from dmptm_ctrl.diagnosis.rig_ahead import DAMPED, Ahead, dampings
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
+from dmptm_ctrl.diagnosis.rig_state import beside_torques
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.compared_signals import low_pass
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
@@ -168,6 +169,10 @@ def test_a_spring_rings_by_its_damping(damping):
     last = ahead.fitted(base)
     before, after = (s.fit.model.value("link.gear.damping") / damping - 1.0 for s in (base, last))
     assert abs(after) < 0.05 < abs(before)
+    fit = beside_torques(base, last).fit  # what a check needs, which has the balance alone
+    assert fit.apart["link.gear.damping"] == pytest.approx(abs(after - before) * damping)
+    assert fit.apart.keys() == fit.model.quantities.keys() & fit.values.keys()
+    assert beside_torques(base, base).fit.apart == {}
     noise = 5e-4 / np.sqrt(12.0) * 2 * np.pi * ahead.runs.bandwidth  # of a rate, at most
     assert np.std(ahead.missing(last.fit.state)) < noise
 

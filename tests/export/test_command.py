@@ -1,20 +1,25 @@
 """`dmptm export`: files, messages, exit codes."""
 
+import hashlib
+import re
 import runpy
 import subprocess
+import zipfile
 from dataclasses import replace
 
 import control as ct
 import numpy as np
 import pytest
 from tests.export.native import STRICT, needs_compiler
-from tests.export.test_plant import RIG, TIME, VOLTS, rig_model
+from tests.export.test_plant import RACK, RIG, TIME, VOLTS, rig_model
 
 from dmptm_ctrl.cli import main
-from dmptm_ctrl.design.controller import Controller, Notch
+from dmptm_ctrl.design.controller import Controller, Notch, read_controller
+from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import read_model, rig_model_to_toml, to_toml
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 MODEL = Model().with_effect("unbalance", cosine=4.0)
 CONTROLLER = Controller(12.0, 60.0, notches=(Notch(60.0, 0.1, 0.5),), model=MODEL, effects=1.0)
@@ -27,6 +32,10 @@ def files(tmp_path):
     (tmp_path / "rig_model.toml").write_text(rig_model_to_toml(rig_model()), encoding="utf-8")
     replace(CONTROLLER, notches=3 * CONTROLLER.notches).save(tmp_path / "three.toml")
     Controller(1.0, 5.0, model=rig_model()).save(tmp_path / "rig_controller.toml")
+    rack = RigModel(parse_rig(RACK, "rig.toml"))
+    Controller(1.0, 5.0, sample_time=2e-3, model=rack, input="current", sensor="speed").save(
+        tmp_path / "rack_controller.toml"
+    )
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     (tmp_path / "open.toml").write_text(RIG.replace('"40 N m/rad"', '"unknown"'), encoding="utf-8")
     return tmp_path
@@ -60,6 +69,50 @@ def test_writes(files, source, to, names, capsys):
     written = capsys.readouterr().out
     assert all(name in written for name in names)
     assert (files / source).read_bytes() == before
+
+
+ANGLES = {"theta_left": "rad", "theta_right": "rad"}
+VOLTAGES = {"u_left": "V", "u_right": "V"}
+OF_DUAL = {"setpoint": "rad/s", "theta_load": "rad", "omega_load": "rad/s", **ANGLES, **VOLTAGES}
+PORTS = {
+    "controller.toml": OF_DUAL,
+    "rig_controller.toml": {"setpoint": "rad/s", "out_speed": "rad/s", "in_voltage": "V"},
+    # a slide, of which logs have mm/s, moved by a current, of which they have mA
+    "rack_controller.toml": {"setpoint": "m/s", "out_speed": "m/s", "in_current": "A"},
+    "model.toml": {"u_left": "V", "theta_l": "rad", "omega_l": "rad/s", "torque_l": "N m"},
+    "rig_model.toml": {"in_voltage": "V", "out_angle": "rad", "out_speed": "rad/s"},
+}
+
+
+@pytest.mark.parametrize("to", ["c", "st"])
+@pytest.mark.parametrize("source", PORTS)
+def test_says_units_sample_time_and_where_it_is_from(files, source, to):
+    out = files / "out"
+    options = ["--to", to, "--real", "float", "--out", str(out)]
+    assert main(["export", str(files / source), *options]) == 0
+    sample_time = "0.002" if source == "rack_controller.toml" else "0.001"
+    digest = hashlib.sha256((files / source).read_bytes()).hexdigest()
+    for text in (file.read_text("ascii") for file in out.iterdir()):
+        head = re.split(r"^(?:#include|#ifndef|FUNCTION_BLOCK) ", text, flags=re.M)[0]
+        assert f"Sample time: {sample_time} s." in head
+        assert f"Source: {source}, SHA-256 {digest}." in head
+        assert "Units: SI" in head
+    (ports,) = (f.read_text("ascii") for f in out.iterdir() if f.suffix in (".h", ".st"))
+    for name, unit in PORTS[source].items():
+        assert re.search(rf"^ .*\b{name}\b.*\[{unit}\]", ports, re.M), name
+
+
+@needs_compiler
+def test_an_fmu_says_where_it_is_from(files):
+    out = files / "out"
+    assert main(["export", str(files / "rig_model.toml"), "--to", "fmu", "--out", str(out)]) == 0
+    digest = hashlib.sha256((files / "rig_model.toml").read_bytes()).hexdigest()
+    with zipfile.ZipFile(out / "plant.fmu") as archive:
+        description = archive.read("modelDescription.xml").decode()
+    assert f"Source: rig_model.toml, SHA-256 {digest}." in description
+    assert "Sample time: 0.001 s." in description
+    for unit in ("V", "rad", "rad/s"):
+        assert f'<Unit name="{unit}">' in description
 
 
 @pytest.mark.parametrize(
@@ -124,12 +177,19 @@ def test_programs_stand_beside_each_other_in_c_and_in_cplusplus(files):
             subprocess.run([out / "program"], check=True)
 
 
-def test_controller_as_python_control(files):
-    main(["export", str(files / "controller.toml"), "--to", "python", "--out", str(files / "out")])
-    found = runpy.run_path(str(files / "out" / "controller.py"))["feedback"]
-    true = CONTROLLER.to_discrete()
+@pytest.mark.parametrize(
+    ("source", "units"),
+    [("controller.toml", ("rad/s", "V")), ("rack_controller.toml", ("m/s", "A"))],
+)
+def test_controller_as_python_control(files, source, units):
+    main(["export", str(files / source), "--to", "python", "--out", str(files / "out")])
+    file = files / "out" / "controller.py"
+    found, given = runpy.run_path(str(file))["feedback"], read_controller(files / source)
+    true = given.to_discrete()
+    for name, unit in zip(("error", "u"), units, strict=True):
+        assert f'puts=["{name}"],  # {unit}\n' in file.read_text("utf-8")
     assert isinstance(found, ct.StateSpace)
-    assert found.dt == CONTROLLER.sample_time
+    assert found.dt == given.sample_time
     z = np.exp(1j * np.linspace(0.1, 3.0, 20))
     np.testing.assert_allclose(found(z), true(z), rtol=1e-12)
 

@@ -7,6 +7,7 @@ from tests.export.native import needs_compiler, st_stepper, warns_of_nothing
 from tests.export.test_plant import RIG, rig_model
 
 from dmptm_ctrl.cli import main
+from dmptm_ctrl.export.c_source import c_header, c_source
 from dmptm_ctrl.export.experiment import Limits, experiment_program, read_signals, within
 from dmptm_ctrl.export.native import Compiled
 from dmptm_ctrl.export.st_source import st_source
@@ -97,15 +98,33 @@ def test_c_and_structured_text_give_the_samples_and_then_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("to", ["csv", "c", "st"])
-def test_command(to, tmp_path):
-    TABLE.to_csv(tmp_path / "next_experiment.csv", index=False)
-    (tmp_path / "model.toml").write_text(to_toml(Model()), encoding="utf-8")
-    out = tmp_path / "out"
-    limits = ["--model", str(tmp_path / "model.toml"), "--max-speed", "0.1", "--max-signal", "1"]
-    source = str(tmp_path / "next_experiment.csv")
-    assert main(["experiment", source, "--to", to, "--out", str(out), *limits]) == 0
-    names = {"c": {"next_experiment.c", "next_experiment.h"}}.get(to, {f"next_experiment.{to}"})
-    assert {p.name for p in out.iterdir()} == names
+@pytest.mark.parametrize(("source", "drive"), [("model.toml", Model()), ("rig.toml", rig_model())])
+def test_command(source, drive, to, tmp_path):
+    """What is written has the limits' signal at the sample time that was asked for."""
+    table = TABLE if source == "model.toml" else TABLE[["time_s", "u_left_V"]]
+    planned, out = tmp_path / "planned.csv", tmp_path / "out"
+    table[:2000].to_csv(planned, index=False)
+    text = RIG if source == "rig.toml" else to_toml(Model())
+    (tmp_path / source).write_text(text, encoding="utf-8")
+    options = ["--model", str(tmp_path / source), "--max-speed", "0.1", "--max-signal", "1"]
+    options += ["--sample-time", "0.002", "--to", to, "--out", str(out)]
+    assert main(["experiment", str(planned), *options]) == 0
+    kept = within(read_signals(planned), Limits(1.0, 0.1), model=drive, sample_time=2e-3)
+    program = experiment_program(kept, planned)
+    own = {
+        "csv": {"csv": kept.to_csv(index=False)},
+        "c": {"c": c_source(program), "h": c_header(program)},
+        "st": {"st": st_source(program)},
+    }[to]
+    assert {p.name for p in out.iterdir()} == {f"next_experiment.{end}" for end in own}
+    for end, text in own.items():
+        written = (out / f"next_experiment.{end}").read_text("utf-8")
+        assert written == text
+        assert end == "csv" or "planned.csv, SHA-256" in written
+        assert end == "csv" or "Sample time: 0.002 s" in written
+    assert "u_left [V]" in c_header(program)
+    assert "(* [V]" in st_source(program)
+    np.testing.assert_allclose(np.diff(kept.time_s), 2e-3)
 
 
 @pytest.mark.parametrize(

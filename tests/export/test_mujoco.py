@@ -15,6 +15,7 @@ from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import rig_model_to_toml
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 SOURCE = Path(__file__)
@@ -75,6 +76,19 @@ def test_each_effect_is_in_the_joint_or_said_to_be_lost(name):
     model = visible(name)
     joint, plain = mujoco_joint(model), mujoco_joint(Model())
     assert (f"effect {name}" in joint.lost) != (replace(joint, lost=()) != replace(plain, lost=()))
+
+
+@pytest.mark.parametrize("name", PLACED_CATALOGUE)
+def test_each_effect_of_a_rig_is_in_the_joint_or_said_to_be_lost(name):
+    placed = PLACED_CATALOGUE[name]
+    at = {"body": "load", "link": "belt", "input": "voltage", "sensor": "speed"}[placed.place]
+    values = dict(zip([p.name for p in placed.keep], placed.defaults, strict=True))
+    values |= {p.name: p.step for p in placed.keep if p.name in placed.amplitudes}
+    model = rig_model().with_effect(Placed(name, at, values))
+    joint, plain = mujoco_joint(model), mujoco_joint(rig_model())
+    kept = replace(joint, lost=()) != replace(plain, lost=())
+    assert f"effect {name}" in joint.lost or kept
+    assert "belt: compliance" in "".join(joint.lost)
 
 
 def test_names_of_any_letters(tmp_path):

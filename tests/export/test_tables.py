@@ -1,6 +1,7 @@
 """Compensation tables against closed forms."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from tests.export.test_plant import RACK, rig_model
 
@@ -102,3 +103,13 @@ def test_command(to, names, tmp_path):
     assert main(["export", str(tmp_path / "model.toml"), "--to", to, "--out", str(out)]) == 0
     assert sorted(p.name for p in out.iterdir()) == names
     assert all("model.toml, SHA-256" in p.read_text("utf-8") for p in out.iterdir())
+
+
+def test_files_hold_the_tables(tmp_path):
+    """Read as others read them: a comment line begins with a sharp."""
+    (tmp_path / "model.toml").write_text(to_toml(MODEL), encoding="utf-8")
+    out = tmp_path / "out"
+    assert main(["export", str(tmp_path / "model.toml"), "--to", "table", "--out", str(out)]) == 0
+    for name, table in compensation_tables(MODEL).items():
+        found = pd.read_csv(out / f"{name}.csv", comment="#")
+        pd.testing.assert_frame_equal(found, table, rtol=1e-8, atol=1e-12)

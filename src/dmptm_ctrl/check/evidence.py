@@ -10,7 +10,9 @@ from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import orth
 
+from dmptm_ctrl.check.ringing import at_rows, ringing, without
 from dmptm_ctrl.diagnosis.measure import MIN_SAMPLES
 from dmptm_ctrl.diagnosis.residual import balances
 from dmptm_ctrl.diagnosis.rig_curves import mean_square
@@ -180,11 +182,14 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int, bandwidth: float | 
     frees = (*machine, *(free for frees in of_logs for free in frees))
     left, _ = residuals(state, balance)
     derivatives = jacobian(state, balance, frees, left, jobs=jobs)
+    waves = ringing(state.model, balance)
+    left = without(waves, left, balance)
     count = left[0].shape[0]
     sizes = [part.shape[1] for part in left]
     use = np.concatenate([rows.ravel() for rows in balance.counted])
     flat = np.concatenate([part.ravel() for part in left])[use]
-    columns = np.concatenate([part.reshape(-1, len(frees)) for part in derivatives])[use]
+    columns = np.concatenate([part.reshape(-1, len(frees)) for part in derivatives])
+    columns = np.hstack([columns, at_rows(waves, left)])[use]
     equation = np.concatenate([np.repeat(np.arange(count), n) for n in sizes])[use]
 
     def weigh(rest: Floats) -> Floats:
@@ -195,16 +200,18 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int, bandwidth: float | 
             weight[own] = weights_of(rest[own], 1.0 / ROWS_PER_INDEPENDENT, level, heavy)
         return weight
 
-    prior = np.array([inf if f.prior is None else f.prior[1] / f.scale for f in frees])
+    known = [inf if f.prior is None else f.prior[1] / f.scale for f in frees]
+    prior = np.array([*known, *[inf] * (columns.shape[1] - len(frees))])
     weight = _settled(flat, columns, prior, weigh)
     flat, columns = weight * flat, weight[:, None] * columns
     like = Likelihood(balance, np.full(count, 1.0 / ROWS_PER_INDEPENDENT)).knowing(model, left)
     scales = np.sqrt(like.counts / np.bincount(equation, weight**2))
-    square, gradient = columns.T @ columns, columns.T @ flat
+    own = columns[:, : len(frees)]
+    square, gradient = own.T @ own, own.T @ flat
     clear = noise_taken_out(state, frees, like, scales, square, -gradient)
     units = {key: q.unit for key, q in model.quantities.items()}
     parameters = []
-    for free, sd in zip(frees, prior, strict=True):
+    for free, sd in zip(frees, known, strict=True):
         unit = units.get(free.owner, "")
         if free.kind == "effect":
             keep = PLACED_CATALOGUE[free.owner.partition("@")[0]].keep
@@ -212,6 +219,8 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int, bandwidth: float | 
         own = free.kind in ("value", "effect")
         value = state.get(free) if own else 0.0
         parameters.append(Parameter(free.label, unit, value, free.scale, float(sd), own))
+    starts = columns.shape[1] - len(frees)
+    parameters += [Parameter("log.start", "", 0.0, 1.0, inf, own=False)] * starts
     linear = model.rig.body(model.rig.inputs[0].body).linear
     return Evidence(
         flat,
@@ -251,7 +260,7 @@ def only_own(evidence: Evidence) -> Evidence:
     other = [k for k, p in enumerate(evidence.parameters) if not p.own]
     if not other:
         return evidence
-    q, _ = np.linalg.qr(evidence.derivatives[:, other])
+    q = orth(evidence.derivatives[:, other])  # some may show nowhere in these logs
     left = evidence.left - q @ (q.T @ evidence.left)
     derivatives = evidence.derivatives[:, own]
     derivatives = derivatives - q @ (q.T @ derivatives)

@@ -12,6 +12,7 @@ Biometrika 73 (1986) 13).
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from sys import maxsize
 
 import numpy as np
 from scipy.stats import t as student
@@ -248,6 +249,18 @@ def threshold(count: int, stretches: int) -> float:
     The errors themselves are known from `stretches` stretches of the logs: Student's t.
     """
     return float(student.isf(0.5 * FALSE_ALARMS / max(count, 1), max(stretches - 1, 1)))
+
+
+def too_short(alone: Sequence[Change], stretches: int) -> list[str]:
+    """Say which entries could change by their whole value and not count as moved.
+
+    Only because so few stretches hardly show how errors scatter.
+    """
+    limit, least = (threshold(len(alone), count) for count in (stretches, maxsize))
+    names = [c.entry.name for c in alone if least * c.se < c.entry.size < limit * c.se]
+    if not names:
+        return []
+    return [f"too short to show whether these have changed: {', '.join(names)}"]
 
 
 def find_moved(

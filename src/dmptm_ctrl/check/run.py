@@ -20,6 +20,7 @@ from dmptm_ctrl.check.moved import (
     entries_of,
     find_moved,
     information_of,
+    too_short,
 )
 from dmptm_ctrl.signals import Campaign, Log, LogError, load_logs
 from dmptm_ctrl.signals.atomic import check_folder, output_folder
@@ -191,6 +192,7 @@ def check(
             each[log.name] = show([log])[1]
     apart = disagreement(each, [c.entry for c in alone], [c.entry for c in moved], tolerance)
     notes += [apart] if apart else []
+    notes += too_short(alone, len(shown[newest][1].scores))
     rms, unit = evidence.torque_rms, evidence.unit
     return Check(moved, alone, rms, floor, unit, names, trend, tuple(notes))
 
@@ -264,7 +266,9 @@ def _errors(recorded: Mapping[str, Any]) -> dict[str, float]:
             if entry.get("se"):
                 for owner in (effect["name"], f"{effect['name']}@{effect.get('location')}"):
                     found[f"{owner}.{name}"] = float(entry["se"])
-    return found
+    # what runs of the model moved, a balance of other logs gives otherwise as well
+    apart = recorded.get("apart_from_balance", {})
+    return {key: max(se, float(apart.get(key, 0.0))) for key, se in found.items()}
 
 
 def _floor(recorded: Mapping[str, Any]) -> tuple[float | None, float | None]:

@@ -39,7 +39,8 @@ START_DISTANCE = 0.28  # taken at first
 DISTANCES = (0.14, 0.42, 0.56, 0.7)  # tried besides
 # points of the predicted gain over the measured one, of a dual-motor drive and of a rig file;
 # docs/compensation.md
-OPTIMISM = {False: (0, 8), True: (0, 46)}
+OPTIMISM = {False: (0, 8), True: (0, 3)}
+AT_BODIES = "motor", "load", "friction"  # sites of effects that push or brake a body
 WITHOUT = "PI, optimised"  # stage of the best controller without compensation
 SLOWER = (1.0, 0.8, 0.63, 0.5, 0.4, 0.32)  # crossovers tried, of the linear design's
 MORE_PRELOAD = (1.0, 1.4, 2.0)  # preloads tried, of the least that keeps the meshes closed
@@ -119,6 +120,11 @@ class Tuned:
             f"  by {name}: {round(median, 2) + 0.0:.0%}, at least {round(sure, 2) + 0.0:.0%}"
             for name, median, sure in self.parts.itertuples()
         ]
+        if homed := to_be_homed(self.controller.model):
+            lines.append(
+                f"needs the encoder at the zero of the model's first log: {', '.join(homed)}; "
+                "from another zero they can make the error larger"
+            )
         if self.reference is not None:
             lines.append(
                 f"largest weighted gain of its linear loop {self.reference.reached:.2f}, of the "
@@ -276,10 +282,18 @@ def repeatable(model: AnyModel) -> Any:
     """
     model = model.without([k for k, e in effects_of(model).items() if e.name == "base_vibration"])
     if isinstance(model, RigModel) and all(s.measures == "speed" for s in model.rig.sensors):
-        at_bodies, kept = ("motor", "load", "friction"), effects_of(level(model))
-        own = effects_of(model).items()
-        model = model.without([k for k, e in own if e.site in at_bodies and k not in kept])
+        kept, own = effects_of(level(model)), effects_of(model).items()
+        model = model.without([k for k, e in own if e.site in AT_BODIES and k not in kept])
     return model
+
+
+def to_be_homed(model: AnyModel) -> tuple[str, ...]:
+    """Return the waves over an angle that no encoder with a lasting zero shows."""
+    if not isinstance(model, RigModel) or any(s.absolute for s in model.rig.sensors):
+        return ()
+    kept, own = effects_of(level(model)), effects_of(repeatable(model)).items()
+    acts: Any = {k: e for k, e in own if k not in kept and e.site in AT_BODIES}
+    return tuple(k for k, e in acts.items() if e.effect.wave)
 
 
 @dataclass

@@ -29,7 +29,7 @@ from dmptm_ctrl.diagnosis.rig_screen import (
     refuse_reversed,
     screen_rig,
 )
-from dmptm_ctrl.diagnosis.rig_state import RigState, rise, within_floor
+from dmptm_ctrl.diagnosis.rig_state import RigState, beside_torques, rise, within_floor
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
 from dmptm_ctrl.diagnosis.select import Selection, beyond_need, select_effects
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
@@ -86,7 +86,8 @@ def diagnose_rig(
     model = RigModel(declared, closed=balance.closed, ranged=True)
     balance, evidence, base = _fitted(model, balance, right, jobs)
     _, held_logs, held_names, on = split(declared, balance)
-    ahead = cache(Ahead.of(declared, right, base.logs, SAMPLES, jobs).fitted)
+    short_runs = Ahead.of(declared, right, base.logs, SAMPLES, jobs)
+    ahead = cache(lambda state: beside_torques(state, short_runs.fitted(state)))
     explains, helps = predictions(declared, right, held_logs, ahead, jobs)
 
     def grows(without: RigState, final: RigState) -> float:

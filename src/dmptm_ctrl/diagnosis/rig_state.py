@@ -123,6 +123,13 @@ def of_teeth(final: RigState) -> Callable[[Sequence[Floats]], float]:
     return more
 
 
+def beside_torques(balanced: RigState, state: RigState) -> RigState:
+    """Return a state that more than the balance was fitted to, with what the balance alone gave."""
+    if state is balanced:
+        return state
+    return replace(state, fit=replace(state.fit, by_torque=balanced.fit.values))
+
+
 def rise(without: RigState, final: RigState) -> float:
     """Share by which what is left of all balances rises without an effect."""
     likelihood, held = final.fit.likelihood, final.fit.likelihood.on(final.held)

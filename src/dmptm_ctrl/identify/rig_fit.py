@@ -4,8 +4,8 @@ What is lowered is −2 log-likelihood: each equation normal at its own scale, e
 as the share of it that is independent; and Σ ((p − p0)/σ)² over declared ranges.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite
 from typing import NamedTuple
@@ -45,6 +45,8 @@ class RigFit:
         Derivatives of the residual per log, per scale of each number.
     loss : float
         −2 log-likelihood, and the declared ranges.
+    by_torque : mapping of label to float
+        What the balance alone gives, where more than it was fitted.
     """
 
     state: State
@@ -54,6 +56,7 @@ class RigFit:
     derivatives: tuple[Floats, ...]
     likelihood: Likelihood
     loss: float
+    by_torque: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def model(self) -> RigModel:
@@ -117,6 +120,12 @@ class RigFit:
     def values(self) -> dict[str, float]:
         """Fitted numbers by label."""
         return {f.label: self.state.get(f) for f in self.frees}
+
+    @property
+    def apart(self) -> dict[str, float]:
+        """How far each number of the drive and its effects is from what the balance alone gives."""
+        own = {f.label: f for f in self.frees if f.kind in ("value", "effect")}
+        return {k: abs(self.state.get(own[k]) - v) for k, v in self.by_torque.items() if k in own}
 
 
 class Beside(NamedTuple):

@@ -366,10 +366,11 @@ def test_an_effect_that_turns_the_teeth_over_is_asked_for_their_flanks(joint):
     assert state.fit.values["link.gear.stiffness"] == pytest.approx(10.0, rel=0.3)
 
 
-def test_a_stiffness_ends_where_samples_show_no_faster_mode(joint):
+def test_a_spring_ends_where_samples_show_no_faster_motion(joint):
     _, balance, start = joint_logs(joint, ())
     frees = {f.label: f for f in free_parameters(start, balance, scales_of(balance))}
     near, far = (start.value(f"body.{b}.inertia") for b in ("motor", "table"))
     far /= 35.0**2
     reduced = near * far / (near + far)
     assert np.sqrt(frees["link.gear.stiffness"].high / reduced) == pytest.approx(np.pi / DT)
+    assert frees["link.gear.damping"].high / reduced == pytest.approx(np.pi / DT)

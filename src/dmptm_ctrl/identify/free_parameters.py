@@ -17,6 +17,7 @@ from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel, angle_body, lin
 
 OFFSET = DRIVE_OFFSET.name
 ALL = ""  # in place of a log: what belongs to all of them
+FASTEST = {"stiffness": 2, "damping": 1}  # power of a rate that an inertia follows them at
 LEAST_SCALE = 0.01  # of the typical size of a quantity
 WIDEST = 0.1  # of the travel; of a local spot
 SHARES = 0.005, 0.99  # of the inertia behind a spring
@@ -140,9 +141,9 @@ def free_parameters(
         least = LEAST_SCALE * own.of(quantity.unit)
         size = max(abs(model.value(key)), least)
         ends = (low, high) if known and model.ranged else (0.0, inf)
-        if name == "stiffness" and not known:  # samples show no faster mode
+        if kind == "link" and name in FASTEST and not known:  # samples show no faster motion
             near, far = link_inertias(model, place)
-            ends = 0.0, near * far / (near + far) * (np.pi / scales.dt) ** 2
+            ends = 0.0, near * far / (near + far) * (np.pi / scales.dt) ** FASTEST[name]
         frees.append(Free("value", key, name, *ends, size, prior, least))
     for effect in model.effects:
         beside = PLACED_CATALOGUE[effect.name].place in ("body", "link")

@@ -204,7 +204,9 @@ def test_import_loads_nothing_heavy():
 def test_bundled_logs_are_named():
     with pytest.raises(ValueError, match="no bundled logs named 'x'; there are demo_rig, null_rig"):
         data.path("x")
-    done = subprocess.run(
-        [sys.executable, "-m", "dmptm_ctrl.data"], capture_output=True, text=True, check=True
-    )
+    program = [sys.executable, "-m", "dmptm_ctrl.data"]
+    done = subprocess.run(program, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == str(data.path("demo_rig"))
+    done = subprocess.run([*program, "x"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "no bundled logs named 'x'; there are demo_rig, null_rig, axis\n"

@@ -34,6 +34,7 @@ _MAKES = {
     ("Model", "StateSpace"): "linearize(model) makes one",
     ("RigModel", "StateSpace"): "linearize(model) makes one",
     ("Rig", "StateSpace"): "linearize(rig) makes one",
+    ("Rig", "RigModel"): "read_model(file) makes one of a rig file",
     ("Model", "Drive"): "model.drive is one",
     ("Loop", "Controller"): "Controller(kp, ki, limit, preload=...) makes one from gains",
     ("PiTuning", "Controller"): "Controller(kp, ki, limit, preload=...) makes one from gains",

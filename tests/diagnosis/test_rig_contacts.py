@@ -184,7 +184,7 @@ def test_a_better_model_tells_anew_when_hidden_teeth_touch():
     base = evidence.base(State(model))
     better = evidence.base(State(model.with_effect(cable)))
     reported = [
-        np.mean(state.logs.motions[0].apart != right.motions[0].apart)
+        np.mean(state.logs.motions[0].open_links != right.motions[0].open_links)
         for state in (base, evidence.closed(better))
     ]
     assert reported[1] < 0.1 * reported[0]

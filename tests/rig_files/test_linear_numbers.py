@@ -11,6 +11,7 @@ from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.blocks import to_blocks
 from dmptm_ctrl.simulate.linear import linearize, modes, modes_text
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.simulate.rig_run import march
 
 ARM = """
 name = "arm"
@@ -296,6 +297,22 @@ def test_refusals_name_what_there_is():
         linearize(model.with_effect(Placed("cable_spring", "load", {"stiffness": np.nan})))
     with pytest.raises(ValueError, match="stiffness of cable_spring@load is -8; it must be zero"):
         linearize(model.with_effect(Placed("cable_spring", "load", {"stiffness": -8.0})))
+    with pytest.raises(KeyError, match=r"no 'load.inertia'; it has body\.motor\.inertia"):
+        model.value("load.inertia")
+    still = np.zeros((1, 20))
+    for signals in (still[0], np.zeros((2, 20))):
+        with pytest.raises(ValueError, match=r"^u has shape .*; needs \(1, n\): inputs by"):
+            march(model, signals, 1e-3)
+    with pytest.raises(ValueError, match="^no body 'arm' in rig; it has motor, load$"):
+        march(model, still, 1e-3, push={"arm": still[0]})
+    run = march(model, still, 1e-3)
+    for call, said in (
+        (run.speed, "no body 'arm' in rig; it has motor, load"),
+        (run.link, "no soft link 'arm' in rig; it has s"),
+        (run.reading, "no sensor 'arm' in rig; it has w, q"),
+    ):
+        with pytest.raises(ValueError, match=f"^{said}$"):
+            call("arm")
 
 
 def test_params_in_block_simulation():

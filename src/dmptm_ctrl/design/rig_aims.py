@@ -36,7 +36,10 @@ def rig_aims(
     if limit is None and model.rig.inputs[layout.inputs.index(source)].limit is not None:
         limit = model.value(f"input.{source}.limit")
     if limit is None or (speed is None and not np.isfinite(limit)):
-        raise ValueError(f"input {source} has no limit in the rig file; give the largest signal")
+        raise ValueError(
+            f"input {source} has no limit in the rig file; give the largest signal, "
+            f"as limit in [input.{source}]"
+        )
     driven, sensed = layout.input_body[source], layout.sensor_body[seen]
     reach = untwisted(plant, layout.coordinate[sensed])  # per motion of the sensor's group
     turn = layout.ratio[driven] * reach[layout.coordinate[driven]] / layout.ratio[sensed]

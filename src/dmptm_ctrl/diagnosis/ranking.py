@@ -50,7 +50,7 @@ def ranking_of(
             explained = name in rivals or alone.get(name, one).acceptable
             reason = why_rejected(one, explained)
         elif name in compared:
-            status = "rejected"
+            status, reason = "rejected", "two sensors of the same motion do not show it"
         rows.append({
             "name": name, "location": location or (one.keys[0].partition("@")[2] if one else ""),
             "score": float(np.clip(score, -TOP, TOP)) if isfinite(score) else 0.0,

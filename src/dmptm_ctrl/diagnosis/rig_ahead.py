@@ -49,13 +49,13 @@ class Predicted:
         What a model does not predict of the sensor, in its unit.
     scale : float
         Most likely one of Student's t.
-    news : float
+    independent : float
         Share of the rows that is independent.
     """
 
     missing: Floats
     scale: float
-    news: float
+    independent: float
 
     @classmethod
     def of(cls, missing: Floats) -> "Predicted":
@@ -65,12 +65,12 @@ class Predicted:
     @property
     def weights(self) -> Floats:
         """Square roots of what each row counts, (m,)."""
-        return np.sqrt(self.news * bent(self.missing, self.scale)) / self.scale
+        return np.sqrt(self.independent * bent(self.missing, self.scale)) / self.scale
 
     def surprise(self, missing: Floats) -> float:
         """−2 log-likelihood of other predictions, as many of them independent."""
         scale = robust_scale(missing)
-        return self.news * float(
+        return self.independent * float(
             missing.size * 2.0 * np.log(scale) + np.sum(tails((missing / scale) ** 2))
         )
 

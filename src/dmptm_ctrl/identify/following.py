@@ -59,13 +59,13 @@ def touching(balance: "Balance", model: RigModel, logs: Iterable[Log]) -> "Balan
     return replace(
         balance,
         motions=tuple(
-            replace(m, apart=_apart(balance.closed, several, named[m.name])[m.samples])
+            replace(m, open_links=_open_links(balance.closed, several, named[m.name])[m.samples])
             for m in balance.motions
         ),
     )
 
 
-def _apart(closed: frozenset[str], models: Iterable[RigModel], log: Log) -> Floats:
+def _open_links(closed: frozenset[str], models: Iterable[RigModel], log: Log) -> Floats:
     """Share of runs in which a followed link does not touch, or did not lately, (n,).
 
     Of runs with slightly other teeth: when they meet is chance after some impacts.

@@ -271,8 +271,8 @@ def residual(
             equations.append(missing(model, balance, name, motion, twist, torque))
         elif group in seen[:k]:
             # rigidly tied to a point before it: as fast, whatever moves them
-            apart = motion.a[point.name] / r - measured[group][2]
-            equations.append(apart * balance.heft / reach[group])
+            difference = motion.a[point.name] / r - measured[group][2]
+            equations.append(difference * balance.heft / reach[group])
         elif k > 0:
             equations.append(alone[group])
     return np.array([motion.reduce(e) for e in equations]), motion.reduce(fair * push)

@@ -96,7 +96,7 @@ class Motion:
     part: str = ""  # "fit" or "held-out" stretches of the log; "" is all of it
     first: int = 0  # sample of the log that it begins with
     tenth: int | None = None  # of the log, where it is a piece of one that is too long
-    apart: Floats | None = None  # 1.0 at samples that do not count: followed links are open
+    open_links: Floats | None = None  # 1.0 at samples that do not count: followed links are open
     loose: Mapping[str, Floats] = field(default_factory=dict)  # the same of each toothed link
     flank: Mapping[str, Floats] = field(default_factory=dict)  # 1 or −1, on which they push
     zero: Mapping[str, float] = field(default_factory=dict)  # middle of the gap of each, rad or m
@@ -181,8 +181,8 @@ class Motion:
             if self.loose:
                 slow[1:] |= np.sign(v[1:]) != np.sign(v[:-1])
             shares.append(self.reduce(_long_runs(slow, least)))
-        if self.apart is not None:
-            shares.append(self.reduce(self.apart))
+        if self.open_links is not None:
+            shares.append(self.reduce(self.open_links))
         rest = np.max(shares, axis=0)
         return (rest < 0.05) & self._own
 

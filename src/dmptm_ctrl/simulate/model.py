@@ -160,6 +160,8 @@ class Model:
             Its `syslist` holds the blocks, each of use alone: amplifiers, bodies, their friction,
             meshes, sensor. A friction block takes the torque on a body without friction [N·m] and
             its motion; it gives the friction [N·m], and 1 where that holds the body at rest.
+        A mesh block takes the motion of pinion and ring gear; it gives torque [N·m] and z, the
+        angle by which the pinion is ahead [rad], both counted at the pinion.
             Of a rig of any shape inputs and outputs are its inputs and sensors; states are
             position and speed of each group of rigidly joined bodies, named by its first body,
             and what lags, dead times and friction remember.

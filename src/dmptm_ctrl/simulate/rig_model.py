@@ -88,8 +88,7 @@ def declared_effects(rig: Rig) -> list[Placed]:
 class RigModel:
     """A rig, values of its declared quantities, and effects added to it.
 
-    KeyError for an effect or parameter that is not in the catalogue, or a place that the rig does
-    not have.
+    KeyError for an effect, a parameter, a place or a quantity that there is not.
     """
 
     rig: Rig
@@ -113,9 +112,8 @@ class RigModel:
             wrong = [key for key in effect.values if key not in has]
             if wrong:
                 raise KeyError(f"{effect.name} has no parameter {wrong[0]!r}; it has {has}")
-        wrong = [key for key in self.values if key not in self.quantities]
-        if wrong:
-            raise KeyError(f"the rig has no {wrong[0]!r}; it has {', '.join(self.quantities)}")
+        for key in self.values:
+            self._known(key)
 
     def __str__(self) -> str:
         return ", ".join([f"{self.rig.name}: declared", *(e.key for e in self.effects)])
@@ -128,7 +126,12 @@ class RigModel:
 
     def quantity(self, key: str) -> Quantity:
         """Declared quantity by its key, or by that of one tied to it."""
-        return self.quantities[self.rig.ties.get(key, key)]
+        return self._known(self.rig.ties.get(key, key))
+
+    def _known(self, key: str) -> Quantity:
+        if key not in self.quantities:
+            raise KeyError(f"the rig has no {key!r}; it has {', '.join(self.quantities)}")
+        return self.quantities[key]
 
     def declared(self, wanted: Callable[[str], bool]) -> dict[str, float]:
         """Declared values of quantities by key, of those wanted that are known."""
@@ -137,8 +140,7 @@ class RigModel:
 
     def value(self, key: str) -> float:
         """Value of a declared quantity; ValueError where it is unknown and not yet fitted."""
-        key = self.rig.ties.get(key, key)
-        value = self.values.get(key, self.quantities[key].value)
+        value = self.values.get(self.rig.ties.get(key, key), self.quantity(key).value)
         if not isfinite(value):
             raise ValueError(f"{key} is declared unknown; fit the model first, or set a value")
         return value

@@ -1,6 +1,6 @@
 """Simulate rigs of any shape: compiled, linear, and as python-control blocks."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from inspect import signature
 from math import ceil
 from typing import Any
@@ -25,8 +25,15 @@ def as_rig_model(model: Rig | RigModel, name: str) -> RigModel:
     if isinstance(model, Rig):
         return RigModel(model)
     if not isinstance(model, RigModel):
-        raise TypeError(f"{name} takes a model first, not a {type(model).__name__}")
+        given = type(model).__name__
+        makes = "Model(drive) or read_model(file) makes one"
+        raise TypeError(f"{name} takes a model first, not a {given}; {makes}")
     return model
+
+
+def _check_name(rig: Rig, kind: str, name: str, names: Collection[str]) -> None:
+    if name not in names:
+        raise ValueError(f"no {kind} {name!r} in {rig.name}; it has {', '.join(names)}")
 
 
 class RigRun:
@@ -42,22 +49,28 @@ class RigRun:
 
     def position(self, body: str) -> Floats:
         """Angle [rad] or position [m] of a body, (n,)."""
-        layout = self.model.layout
-        return layout.ratio[body] * self._motion.q[:, layout.coordinate[body]]
+        return self._of_body(body, self._motion.q)
 
     def speed(self, body: str) -> Floats:
         """Speed of a body [rad/s or m/s], (n,)."""
-        layout = self.model.layout
-        return layout.ratio[body] * self._motion.v[:, layout.coordinate[body]]
+        return self._of_body(body, self._motion.v)
 
     def link(self, name: str) -> Floats:
         """Torque [N·m] or force of a link at its first body, (n,)."""
-        return self._motion.links[:, self.model.layout.links.index(name)]
+        links = self.model.layout.links
+        _check_name(self.model.rig, "soft link", name, links)
+        return self._motion.links[:, links.index(name)]
 
     def reading(self, sensor: str) -> Floats:
         """What a sensor would read, without noise and quantisation, (n,), SI."""
         names = [s.name for s in self.model.rig.sensors]
+        _check_name(self.model.rig, "sensor", sensor, names)
         return self._motion.readings[:, names.index(sensor)]
+
+    def _of_body(self, body: str, motion: Floats) -> Floats:
+        layout = self.model.layout
+        _check_name(self.model.rig, "body", body, layout.bodies)
+        return layout.ratio[body] * motion[:, layout.coordinate[body]]
 
 
 def substeps_for(plant: Plant, dt: float) -> int:
@@ -78,7 +91,7 @@ def most_substeps(dt: float) -> int:
 
 
 def march(
-    model: RigModel,
+    model: Rig | RigModel,
     u: Floats,
     dt: float,
     *,
@@ -99,7 +112,7 @@ def march(
 
     Parameters
     ----------
-    model : RigModel
+    model : Rig or RigModel
     u : (inputs, n) array
         Signals of the inputs, SI, held from each sample to the next.
     dt : float
@@ -114,8 +127,9 @@ def march(
     controller, reference, added : optional
         Closes the loop, with (n,) and (n,) arrays: a rig's controller, on whose output `added`
         is put; a :class:`~.run.Controller`, which the compiled loop calls; a Python
-        ``law(t, target, y)`` that returns the signals of the inputs, a hundred times slower; or
-        a discrete system, see :func:`~.control.sampled`.
+        ``law(t, target, y)`` that returns the signals of the inputs, a hundred times slower, where
+        `y` are the readings [SI] in the order of the file; or a discrete system, see
+        :func:`~.control.sampled`.
     before : (inputs,) array, optional
         Signals before the first sample, which dead times make act in the run; 0.
     push : mapping of body to (n,) array, optional
@@ -124,8 +138,20 @@ def march(
         Of an earlier run of the same model; this one continues from there.
     observer, measured : Observer and (m, n) array, optional
         Corrects the run by what its sensors measured.
+
+    Raises
+    ------
+    ValueError
+        Signals of another shape, or a body that the rig does not have.
     """
+    model = as_rig_model(model, "march")
     plant, layout = model.plant(), model.layout
+    if u.ndim != 2 or u.shape[0] != len(layout.inputs):
+        need = f"({len(layout.inputs)}, n)"
+        raise ValueError(f"u has shape {u.shape}; needs {need}: inputs by samples")
+    for bodies in (position, speed, given, push):
+        for body in bodies or ():
+            _check_name(model.rig, "body", body, layout.bodies)
     n = u.shape[1]
     motion = NO_ROWS, NO_ROWS
     if given:

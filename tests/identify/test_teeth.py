@@ -374,3 +374,17 @@ def test_a_spring_ends_where_samples_show_no_faster_motion(joint):
     reduced = near * far / (near + far)
     assert np.sqrt(frees["link.gear.stiffness"].high / reduced) == pytest.approx(np.pi / DT)
     assert frees["link.gear.damping"].high / reduced == pytest.approx(np.pi / DT)
+
+
+def test_a_load_is_that_of_a_side_where_a_twist_is_coarse():
+    """A count of the twist winds the spring up by more than the load does."""
+    rig = parse_rig(JOINT.replace('half_gap = "0.02 rad ± 50 %"\n', ""))
+    sizes = {k: v for k, v in SIZES.items() if "half_gap" not in k}
+    true = RigModel(rig, effects=(RUBS,)).with_values(sizes)
+    time = DT * np.arange(8000)
+    log = joint_log(true, "sine", np.sin(np.pi * time) + 0.4 * np.sin(7.0 * time))
+    balance = balance_of(rig, [log])
+    (motion,) = balance.motions
+    (left,), _ = residuals(State(true), balance)
+    noise = noise_in_balance(true, balance)[0]
+    assert np.std(left[0, motion.moving]) < 1.15 * np.sqrt(noise @ noise)

@@ -121,9 +121,11 @@ def forces_of(
     for body, torque in pushes:
         if (group := layout.coordinate[body]) in own:
             own[group] = own[group] + layout.ratio[body] * torque
-    moved = {group: own[group] - plant.inertia[group] * a for group, (_, _, a) in measured.items()}
-    moved = put_through(model, moved, runs)
-    for _ in range(LOADED if twists and weighs else 1):
+    free = {group: own[group] - plant.inertia[group] * a for group, (_, _, a) in measured.items()}
+    moved, bare = put_through(model, free, runs), dict[int, Floats]()
+    # the balance of one side shows a load with less noise than a twist does
+    by_side = weighs and len(measured) == layout.coordinates
+    for _ in range(LOADED if (twists or by_side) and weighs else 1):
         left = {}
         for group, (q, v, _) in measured.items():
             friction, other = _friction(model, motion, group, q, v, load, volts, nuisance)
@@ -131,9 +133,11 @@ def forces_of(
             if not twists:  # what holds a body beside teeth, noise of their twist hides
                 friction = _at_rest(friction, rest, v, motion.rest_share)
             left[group] = rest - friction
+            bare[group] = free[group] - other - friction
         through = carried(model, twists, left)
         if weighs:
-            load = on_bodies(sizes | {n: _size(motion, torque) for n, torque in through.items()})
+            shown = carried(model, layout.links, bare) if by_side else through
+            load = on_bodies(sizes | {n: _size(motion, torque) for n, torque in shown.items()})
     need = {group: own[group] - left[group] for group in own}
     return Forces(measured, own, need, put_through(model, left, through), through, twists)
 

@@ -116,7 +116,8 @@ def forces_of(
 
     for _ in range(LOADED if model.closed and weighs else 0):
         loads = loads_of(model, measured, dict(pushes), braked)
-        load |= on_bodies({name: _size(motion, torque) for name, torque in loads.items()})
+        sizes |= {name: _size(motion, torque) for name, torque in loads.items()}
+        load = on_bodies(sizes)
     own = {group: np.zeros_like(v) for group, (_, v, _) in measured.items()}
     for body, torque in pushes:
         if (group := layout.coordinate[body]) in own:
@@ -124,7 +125,7 @@ def forces_of(
     free = {group: own[group] - plant.inertia[group] * a for group, (_, _, a) in measured.items()}
     moved, bare = put_through(model, free, runs), dict[int, Floats]()
     # the balance of one side shows a load with less noise than a twist does
-    by_side = weighs and len(measured) == layout.coordinates
+    by_side = bool(layout.links) and len(measured) == layout.coordinates
     for _ in range(LOADED if (twists or by_side) and weighs else 1):
         left = {}
         for group, (q, v, _) in measured.items():

@@ -18,7 +18,7 @@ from rigs.rig import make_rig
 
 from dmptm_ctrl.diagnosis.candidate import name_of
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState
-from dmptm_ctrl.diagnosis.judge import rise
+from dmptm_ctrl.diagnosis.dual_budget import rise
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.select import select_effects

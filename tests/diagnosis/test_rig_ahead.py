@@ -170,9 +170,9 @@ def test_a_spring_rings_by_its_damping(damping):
     before, after = (s.fit.model.value("link.gear.damping") / damping - 1.0 for s in (base, last))
     assert abs(after) < 0.05 < abs(before)
     fit = beside_torques(base, last).fit  # what a check needs, which has the balance alone
-    assert fit.apart["link.gear.damping"] == pytest.approx(abs(after - before) * damping)
-    assert fit.apart.keys() == fit.model.quantities.keys() & fit.values.keys()
-    assert beside_torques(base, base).fit.apart == {}
+    assert fit.off_balance["link.gear.damping"] == pytest.approx(abs(after - before) * damping)
+    assert fit.off_balance.keys() == fit.model.quantities.keys() & fit.values.keys()
+    assert beside_torques(base, base).fit.off_balance == {}
     noise = 5e-4 / np.sqrt(12.0) * 2 * np.pi * ahead.runs.bandwidth  # of a rate, at most
     assert np.std(ahead.missing(last.fit.state)) < noise
 

@@ -82,8 +82,8 @@ def test_every_key_of_the_contract_is_there(found):
     for declared in content["declared"].values():
         assert set(declared) >= {"declared", "range", "fitted", "se", "outside"}
     fit = found.selection.final.fit
-    assert content["apart_from_balance"] == fit.apart
-    assert "coulomb_friction@motor.level" in fit.apart
+    assert content["apart_from_balance"] == fit.off_balance
+    assert "coulomb_friction@motor.level" in fit.off_balance
     for row in content["ranking"]:
         assert set(row) >= {"name", "location", "score", "status", "reveals"}
     assert content["provenance"]["versions"]["numpy"]

@@ -7,6 +7,7 @@ from dataclasses import replace
 from dmptm_ctrl.contract import MOTOR_ENCODERS
 from dmptm_ctrl.diagnosis.budget import verdict_of
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState
+from dmptm_ctrl.diagnosis.dual_budget import assess, rise
 from dmptm_ctrl.diagnosis.dual_report import (
     DualSource,
     declared_dict,
@@ -16,7 +17,6 @@ from dmptm_ctrl.diagnosis.dual_report import (
 )
 from dmptm_ctrl.diagnosis.experiment import next_experiment
 from dmptm_ctrl.diagnosis.impact_chatter import with_chatter
-from dmptm_ctrl.diagnosis.judge import judge, rise
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.report import Diagnosis, provenance
@@ -63,23 +63,23 @@ def diagnose_dual(
         before = with_chatter(measured.fit, base.left.base, declared, jobs)
         best = tables.left if tables else selection.final.left
         after = with_chatter(measured.fit, best.base, declared, jobs)
-        judged = judge(measured, evidence, selection, (before, after), tables, rest, jobs)
+        assessed = assess(measured, evidence, selection, (before, after), tables, rest, jobs)
         final = on_all_logs(measured, best, after, declared, jobs)
         effects = [
-            replace(named(e, final, judged.share_of(e.key)), together=e.key in judged.together)
+            replace(named(e, final, assessed.share_of(e.key)), together=e.key in assessed.together)
             for e in selection.entries
         ]
         effects += [
-            sensor_effect(name, sensors, final, judged.share_of(name)) for name in model.effects
+            sensor_effect(name, sensors, final, assessed.share_of(name)) for name in model.effects
         ]
-        curve = [] if tables is None else [unnamed(tables, judged.unexplained_share)]
+        curve = [] if tables is None else [unnamed(tables, assessed.unexplained_share)]
         material = any(e.material for e in effects)
         experiment = next_experiment(selection, measured, jobs)
     by_encoders = tuple(n for n, e in CATALOGUE.items() if e.seen_by == MOTOR_ENCODERS)
     return Diagnosis(
-        verdict=verdict_of(judged.errors, material, rest is not None),
+        verdict=verdict_of(assessed.errors, material, rest is not None),
         effects=(*sorted(effects, key=lambda e: -e.share), *curve),
-        budget=judged.rows,
+        budget=assessed.rows,
         ranking=ranking(
             selection,
             () if measured.has_motor_encoders else by_encoders,
@@ -87,8 +87,8 @@ def diagnose_dual(
             tuple(model.effects),
         ),
         depends_on=rest.variables if rest is not None else (),
-        error=judged.error,
-        errors=judged.errors,
+        error=assessed.error,
+        errors=assessed.errors,
         declared=before.model,
         augmented=final.model,
         declared_values=declared_dict(final, declared),

@@ -131,7 +131,7 @@ def since_rest(rec: Record) -> Floats:
 def left_over(
     rec: Record, run: Floats, model: Model, effect: Effect | None
 ) -> tuple[Floats, np.ndarray, str]:
-    """Return the residual along a log, where it can be judged, and its label."""
+    """Return the residual along a log, where it is known, and its label."""
     everywhere = np.ones(rec.theta.size, bool)
     site = effect.site if effect is not None else ""
     n2 = model.drive["N_2"]

@@ -118,7 +118,7 @@ class Diagnosis:
     provenance : dict
     experiment : Experiment or None
         That would separate an effect from what it may be confused with.
-    apart : dict of str to float
+    off_balance : dict of str to float
         How far fitted numbers are from what the balance of torques alone gives [SI].
 
     Examples
@@ -145,7 +145,7 @@ class Diagnosis:
     provenance: dict[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     experiment: Experiment | None = None
-    apart: dict[str, float] = field(default_factory=dict)
+    off_balance: dict[str, float] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of diagnosis.json: plain types, no NaN."""
@@ -158,7 +158,7 @@ class Diagnosis:
             "depends_on": list(self.depends_on),
             "error": self.error,
             "declared": self.declared_values,
-            "apart_from_balance": self.apart,
+            "apart_from_balance": self.off_balance,
             "next_experiment": self.experiment.to_dict() if self.experiment else None,
             "provenance": self.provenance,
             "warnings": list(self.warnings),

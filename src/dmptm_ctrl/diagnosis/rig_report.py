@@ -228,7 +228,7 @@ def report_of(
         provenance=provenance,
         warnings=(*warnings, *torn, *runs.warnings),
         experiment=rig_experiment(selection, runs, jobs),
-        apart=final.fit.apart,
+        off_balance=final.fit.off_balance,
     )
 
 

@@ -12,7 +12,7 @@ from math import inf
 from dmptm_ctrl.contract import RUNS
 from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, name_of, needed
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, fall
-from dmptm_ctrl.diagnosis.judge import rise
+from dmptm_ctrl.diagnosis.dual_budget import rise
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.residual import predicting
 from dmptm_ctrl.diagnosis.select import MOST, Entry, Selection, best_of, explained, ranked
@@ -107,5 +107,5 @@ def likely(state: DualState, names: Sequence[str]) -> list[str]:
             worth[name] = explained(state.target, state.independent(view.project(some)))
     order = sorted(names, key=lambda name: -worth[name])
     best = [name for name in order[:FITTED] if worth[name] > LEVEL / 2.0]
-    # what balances never see has been judged by nothing yet
+    # what balances never see has been tested by nothing yet
     return [*best, *(n for n in names if CATALOGUE[n].seen_by == RUNS and n not in best)]

@@ -122,7 +122,7 @@ class RigFit:
         return {f.label: self.state.get(f) for f in self.frees}
 
     @property
-    def apart(self) -> dict[str, float]:
+    def off_balance(self) -> dict[str, float]:
         """How far each number of the drive and its effects is from what the balance alone gives."""
         own = {f.label: f for f in self.frees if f.kind in ("value", "effect")}
         return {k: abs(self.state.get(own[k]) - v) for k, v in self.by_torque.items() if k in own}

@@ -275,7 +275,7 @@ def _testable(
 def describe_file(path: Path) -> LogInfo:
     """Say what is in a file without a rig: all its columns as they are, and how it is excited.
 
-    Effects are judged where the columns are those of the dual-motor drive.
+    Effects are listed where the columns are those of the dual-motor drive.
     """
     columns, table, more = _columns_of(path)
     samples = max((len(values) for values in table.columns.values()), default=0)

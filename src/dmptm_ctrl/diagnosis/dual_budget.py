@@ -32,7 +32,7 @@ TORQUE = "N·m"
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class Assessed:
     """Errors and budget of a diagnosis.
 
     Attributes
@@ -81,7 +81,7 @@ def systematic(left: Residual, scale: "Scale") -> float:
     return max(shared, 0.0) / sum(float(x @ x) for x in rows)
 
 
-def judge(
+def assess(
     measured: Measured,
     evidence: DualEvidence,
     selection: Selection,
@@ -89,7 +89,7 @@ def judge(
     tables: Tables | None,
     rest: Unexplained | None,
     jobs: int,
-) -> Judged:
+) -> Assessed:
     """Judge the models before and after, and each effect by leaving it out."""
     base: DualState = selection.base
     final: DualState = selection.final
@@ -143,7 +143,7 @@ def judge(
     together = material_together(
         evidence, selection, lambda state: lacked(state, final, errors, scale)
     )
-    return Judged(errors, tuple(closed), error, together)
+    return Assessed(errors, tuple(closed), error, together)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +151,7 @@ class Scale:
     """Scatter of each equation under the final model, and what each row counts.
 
     What no model predicts, such as the windows of impacts, counts little: by the weights of
-    Student's t under the final model, the same for every model that is judged.
+    Student's t under the final model, the same for every model that is compared.
     """
 
     sizes: Sequence[float]

@@ -67,6 +67,19 @@ def geared(sensors, counts=2**16):
     return rig, logs
 
 
+def noisier(balance, logs, rng):
+    """The balance of the same logs with twice the noise of the readings."""
+    noisy = []
+    for log in logs:
+        channels = dict(log.channels)
+        for point in balance.points:
+            size = np.sqrt(0.5 * point.sight.noise / log.sample_time)
+            name = point.sight.sensor.channel
+            channels[name] = log[name] + rng.normal(0.0, size, len(log))
+        noisy.append(Log(log.name, log.time, channels))
+    return balance_of(balance.rig, noisy, bandwidth=balance.bandwidth)
+
+
 @pytest.mark.parametrize("sensors", [("q",), ("q2",), ("q", "q2"), ("w", "q2"), ("q", "w", "q2")])
 def test_is_what_more_noise_adds(sensors):
     """Twice the readings' noise, against the variance that one such noise is said to give."""
@@ -76,15 +89,7 @@ def test_is_what_more_noise_adds(sensors):
     before, _ = residuals(state, balance)
     rng, variances = np.random.default_rng(3), []
     for _ in range(DRAWS):
-        noisy = []
-        for log in logs:
-            channels = dict(log.channels)
-            for point in balance.points:
-                size = np.sqrt(0.5 * point.sight.noise / log.sample_time)
-                name = point.sight.sensor.channel
-                channels[name] = log[name] + rng.normal(0.0, size, len(log))
-            noisy.append(Log(log.name, log.time, channels))
-        after, _ = residuals(state, balance_of(rig, noisy, bandwidth=balance.bandwidth))
+        after, _ = residuals(state, noisier(balance, logs, rng))
         variances += [np.var(a - b, axis=1) for a, b in zip(after, before, strict=True)]
     for e, noise in enumerate(noise_in_balance(state.model, balance)):
         seen, told = float(np.mean(variances, axis=0)[e]), float(noise @ noise)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.identify.test_reading_noise import noisier
 
 import dmptm_ctrl
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
@@ -326,15 +327,7 @@ def test_noise_of_a_load_is_what_more_noise_adds(joint):
         before, _ = residuals(State(model), balance)
         variances = []
         for _ in range(8):
-            noisy = []
-            for log in logs:
-                channels = dict(log.channels)
-                for point in balance.points:
-                    size = np.sqrt(0.5 * point.sight.noise / log.sample_time)
-                    name = point.sight.sensor.channel
-                    channels[name] = log[name] + rng.normal(0.0, size, len(log))
-                noisy.append(Log(log.name, log.time, channels))
-            again = balance_of(joint, noisy, bandwidth=balance.bandwidth)
+            again = noisier(balance, logs, rng)
             pairs = zip(again.motions, balance.motions, strict=True)
             same = [replace(a, loose=b.loose, flank=b.flank, zero=b.zero) for a, b in pairs]
             after, _ = residuals(State(model), replace(again, motions=tuple(same)))

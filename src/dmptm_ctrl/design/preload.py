@@ -89,9 +89,7 @@ def smallest_preload(model: Model, duty: Duty, theta_L: float = 0.0) -> float:
 class Preload(NamedTuple):
     """A duty under one preload; errors and torques are rms."""
 
-    open_share: (
-        float  # of the time after settling with a mesh that carries nothing or has left its side
-    )
+    open_share: float  # of the settled time, with a mesh that carries nothing or left its side
     error: float  # deg/s
     torque: float  # of a motor [N·m]
     friction: float  # mean that the preload adds in both reducers, at the pinions [N·m]

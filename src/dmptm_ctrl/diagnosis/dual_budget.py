@@ -90,7 +90,7 @@ def assess(
     rest: Unexplained | None,
     jobs: int,
 ) -> Assessed:
-    """Judge the models before and after, and each effect by leaving it out."""
+    """Compare the models before and after, and leave out each effect."""
     base: DualState = selection.base
     final: DualState = selection.final
     first = on_rows_of(final.left, base.left)

@@ -29,7 +29,6 @@ from dmptm_ctrl.diagnosis.rig_state import (
 from dmptm_ctrl.diagnosis.rig_tangent import Trial
 from dmptm_ctrl.diagnosis.select import NEAR, evidence_per_gain, ranked
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
-from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.free_parameters import (
     free_parameters,
     scales_of,
@@ -38,7 +37,7 @@ from dmptm_ctrl.identify.gap_search import from_elsewhere
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.likelihood import Likelihood
 from dmptm_ctrl.identify.measured_motion import Nuisance
-from dmptm_ctrl.identify.pushing_teeth import pushing, with_gaps
+from dmptm_ctrl.identify.pushing_teeth import marked
 from dmptm_ctrl.identify.rig_fit import (
     RigFit,
     fit_rig,
@@ -306,14 +305,14 @@ class RigEvidence:
 
     def closed(self, state: RigState) -> RigState:
         """Let a model show anew when teeth touch, and on which flank, and fit again."""
-        model, read = state.fit.model, self.read
-        logs, held = (with_gaps(one, model) for one in (state.logs, state.held))
-        if read and (logs.closed or logs.teeth):
-            if logs.teeth != state.logs.teeth:  # noise of another equation
-                like = replace(state.fit.likelihood, noise=None)
-                state = replace(state, fit=replace(state.fit, likelihood=like))
-            both = (touching(one, model, read) for one in (logs, held))
-            state = self.refit(state, *(pushing(one, model, read) for one in both))
+        if not self.read:
+            return self._counted(state)
+        logs, held = (marked(one, state.fit.model, self.read) for one in (state.logs, state.held))
+        if logs.teeth != state.logs.teeth:  # noise of another equation
+            like = replace(state.fit.likelihood, noise=None)
+            state = replace(state, fit=replace(state.fit, likelihood=like))
+        if logs is not state.logs:
+            state = self.refit(state, logs, held)
         return self._counted(state)
 
     def _counted(self, state: RigState) -> RigState:

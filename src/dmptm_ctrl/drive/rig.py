@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from math import inf, isfinite, nan, pi
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from dmptm_ctrl.drive.parameters import Quantity
 from dmptm_ctrl.signals import Column, Log, LogError, TextFormat, load_log
@@ -31,7 +31,7 @@ def unknown(unit: str) -> Quantity:
     return Quantity(nan, unit, 0.0, "unknown", low=0.0, high=inf)
 
 
-def is_known(quantity: Quantity | None) -> bool:
+def is_known(quantity: Quantity | None) -> TypeGuard[Quantity]:
     """Whether a value is declared."""
     return quantity is not None and isfinite(quantity.value)
 

@@ -25,7 +25,7 @@ from dmptm_ctrl.identify.measured_motion import (
     kept,
     recent,
 )
-from dmptm_ctrl.identify.teeth import carried, put_through, twist_of
+from dmptm_ctrl.identify.teeth import carried, put_through, shares_of, twist_of
 from dmptm_ctrl.simulate.along import (
     acting_of,
     built_up_along,
@@ -90,21 +90,19 @@ def forces_of(
         body = layout.input_body[name]
         volts[body] = effective_input(model, motion, name)
         pushes.append((body, plant.input_values[j, 0] * volts[body]))
-    ends = {k: (model.rig.link(k).first, model.rig.link(k).second) for k in model.closed}
-    for k, name in enumerate(layout.links):
-        first, second = plant.link_body[k].tolist()
-        ends[name] = layout.bodies[first], layout.bodies[second]
-    ratios = {name: model.value(f"link.{name}.ratio") for name in model.closed}
-    ratios |= zip(layout.links, plant.link_values[:, 0].tolist(), strict=True)
+    weighs = loaded(model)
+    shares = {name: shares_of(model, name) for name in model.closed} if weighs else {}
+    for k, name in enumerate(layout.links if weighs else ()):
+        first, second = (layout.bodies[b] for b in plant.link_body[k].tolist())
+        shares[name] = {first: 1.0, second: abs(float(plant.link_values[k, 0]))}
 
     def on_bodies(sizes: Mapping[str, Floats]) -> dict[str, Floats]:
         load = dict(zeros)
         for name, size in sizes.items():
-            for body, factor in zip(ends[name], (1.0, ratios[name]), strict=True):
-                load[body] = load[body] + abs(factor) * size
+            for body, share in shares[name].items():
+                load[body] = load[body] + share * size
         return load
 
-    weighs = loaded(model)
     sizes = {name: np.abs(torque) for name, torque in runs.items()}
     load = on_bodies(sizes) if weighs else zeros
 

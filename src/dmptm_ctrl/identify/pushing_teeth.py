@@ -22,9 +22,13 @@ SWINGS = 2.0  # periods of the bandwidth, over which it is looked at how far tee
 
 
 def in_contact(balance: Balance, model: RigModel, logs: Sequence[Log]) -> Balance:
-    """Mark when teeth touch, by a model on the logs."""
-    balance = with_gaps(balance, model)
-    return pushing(touching(centred(balance, model), model, logs), model, logs)
+    """Find the middle of the gaps, and mark when teeth touch, by a model on the logs."""
+    return marked(centred(with_gaps(balance, model), model), model, logs)
+
+
+def marked(balance: Balance, model: RigModel, logs: Sequence[Log]) -> Balance:
+    """Mark when teeth touch, and on which flank; a balance without teeth comes back as it is."""
+    return pushing(touching(with_gaps(balance, model), model, logs), model, logs)
 
 
 def with_gaps(balance: Balance, model: RigModel) -> Balance:

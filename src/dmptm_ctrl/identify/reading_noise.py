@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.identify.measured_motion import coordinates_of, recent
-from dmptm_ctrl.identify.teeth import carried, in_twist
+from dmptm_ctrl.identify.teeth import carried, in_twist, shares_of
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import Plant, link_matrices, untwisted
@@ -156,9 +156,8 @@ def _equations(
     for body, coefficient in _rubbing(model):
         g = layout.coordinate[body]
         for name, load in carried(model, balance.teeth, own).items():
-            link = model.rig.link(name)
-            share = {link.first: 1.0, link.second: model.value(f"link.{name}.ratio")}
-            rubs = sign * coefficient * layout.ratio[body] * abs(share.get(body, 0.0)) * load
+            share = shares_of(model, name).get(body, 0.0)
+            rubs = sign * coefficient * layout.ratio[body] * share * load
             own[g], torque[:, g] = own[g] - rubs, torque[:, g] + rubs
     reach = untwisted(plant)
     counted = [*first, 0] if equations_used != hidden else [*first]

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dmptm_ctrl.drive.rig import is_known
 from dmptm_ctrl.identify.free_parameters import scales_of
 from dmptm_ctrl.identify.inverse_dynamics import TAIL, Balance
 from dmptm_ctrl.identify.rig_fit import fit_rig
@@ -77,9 +78,8 @@ def _springs(model: RigModel, balance: Balance) -> RigModel:
             continue
         ends = ends_of(model, balance, link.name)
         if ends is not None:
-            gap = link.half_gap
-            known = gap.value if gap is not None and isfinite(gap.value) else 0.0
-            spring = regress(balance, *ends, known)
+            gap = link.half_gap.value if is_known(link.half_gap) else 0.0
+            spring = regress(balance, *ends, gap)
             inertias = unknown_inertias(model, link.name, spring)
             model = model.with_values({**inertias, **spring_values(model, link.name, spring)})
             continue

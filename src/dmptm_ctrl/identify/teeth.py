@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dmptm_ctrl.drive.rig import Link, Rig
+from dmptm_ctrl.drive.rig import Link, Rig, is_known
 from dmptm_ctrl.identify.measured_motion import Motion, Moves, Nuisance, acting_by, kept
 from dmptm_ctrl.simulate.along import acting_of, shift_along, stiffness_along
 from dmptm_ctrl.simulate.model import Floats
@@ -53,8 +53,7 @@ def toothed(rig: Rig, points: tuple["Point", ...], found: Container[str] = ()) -
 
 
 def _declared(link: Link) -> bool:
-    gap = link.half_gap
-    return gap is not None and isfinite(gap.value) and gap.value > 0
+    return is_known(link.half_gap) and link.half_gap.value > 0
 
 
 def side_of(model: RigModel, link: str) -> tuple[list[int], float]:
@@ -164,6 +163,12 @@ def lever_of(model: RigModel, name: str) -> float:
     plant = model.plant()
     body = plant.link_body[model.layout.links.index(name), 0]
     return float(untwisted(plant)[plant.body_coordinate[body]] * plant.body_ratio[body])
+
+
+def shares_of(model: RigModel, name: str) -> dict[str, float]:
+    """Bodies at the ends of a link of the rig, and torque on each per torque at the first."""
+    link = model.rig.link(name)
+    return {link.first: 1.0, link.second: abs(model.value(f"link.{name}.ratio"))}
 
 
 def put_through(

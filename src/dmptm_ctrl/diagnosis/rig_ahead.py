@@ -98,7 +98,9 @@ class Ahead:
 
     def missing(self, state: State) -> Floats | None:
         """What a model does not predict of the sensor, (m,); None where a run diverges."""
-        runs = self.runs.run(state)
+        return self._missing(self.runs.run(state))
+
+    def _missing(self, runs: Sequence[Floats] | None) -> Floats | None:
         if runs is None:
             return None
         parts = zip(self.runs.misses(runs), self.runs.logs, strict=True)
@@ -144,10 +146,15 @@ class Ahead:
 
     def _at(self, state: State, fit: RigFit) -> "_End | None":
         """What a state leaves; None where a run diverges."""
-        missing = self.missing(state)
-        if missing is None:
-            return None
-        return _End(state, *residuals(state, fit.likelihood.balance), missing)
+        return self._ends([state], fit)[0]
+
+    def _ends(self, states: Sequence[State], fit: RigFit) -> list["_End | None"]:
+        """What several states leave."""
+        found = zip(states, map(self._missing, self.runs.run_all(states)), strict=True)
+        return [
+            None if missing is None else _End(s, *residuals(s, fit.likelihood.balance), missing)
+            for s, missing in found
+        ]
 
     def _damped(self, here: "_End", fit: RigFit) -> "_End":
         """Return the best of several dampings of each spring."""
@@ -156,7 +163,7 @@ class Ahead:
             if free.kind != "value" or what != "damping":
                 continue
             sizes = [x for x in dampings(here.state.model, place) if free.low <= x <= free.high]
-            others = (self._at(here.state.moved([free], [x]), fit) for x in sizes)
+            others = self._ends([here.state.moved([free], [x]) for x in sizes], fit)
             able, rows = [here, *filter(None, others)], Predicted.of(here.missing)
             here = able[int(np.argmin([one.loss(fit, rows) for one in able]))]
         return here
@@ -204,14 +211,17 @@ class Ahead:
     def _derivatives(self, here: "_End", frees: Sequence[Free], steps: Floats) -> Floats:
         """Derivatives of what is not predicted, per scale of each number, (m, numbers)."""
         table = np.zeros((here.missing.size, len(frees)))
-        for j, (free, step) in enumerate(zip(frees, steps, strict=True)):
-            if free.kind not in ("value", "effect"):
-                continue
+        known = [j for j, free in enumerate(frees) if free.kind in ("value", "effect")]
+        sides, moved = [], []
+        for free, step in ((frees[j], steps[j]) for j in known):
             value = here.state.get(free)
-            side = step if value + step * free.scale <= free.high else -step
-            ahead = self.missing(here.state.moved([free], [value + side * free.scale]))
-            if ahead is not None:
-                table[:, j] = (ahead - here.missing) / side
+            sides.append(step if value + step * free.scale <= free.high else -step)
+            moved.append(here.state.moved([free], [value + sides[-1] * free.scale]))
+        # runs beside each other are as fine as the finest needs: their own base is among them
+        base, *ahead = map(self._missing, self.runs.run_all([here.state, *moved]))
+        for j, side, one in zip(known, sides, ahead, strict=True):
+            if one is not None and base is not None:
+                table[:, j] = (one - base) / side
         return table
 
 

@@ -162,7 +162,7 @@ def _input_effect(tangent: Tangent, entry: PlacedEffect, on: tuple[str, ...]) ->
     size, dt = scales.u[on[0]], scales.dt
     (number,) = entry.amplitudes
     if entry.effect.search == "limits":
-        sent = np.concatenate([np.abs(m.u[p]) for m in tangent.balance.motions for p in on])
+        sent = np.concatenate([np.abs(m.sent[p]) for m in tangent.balance.motions for p in on])
         values = [1.0 / (s * p) for p in np.quantile(sent, PEAKS) if p > 0 for s in LIMITS]
     elif entry.keep[0].unit == "s":
         values = [d * dt for d in DELAYS if d * dt <= LONGEST_DELAY]

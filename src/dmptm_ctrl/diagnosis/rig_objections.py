@@ -104,7 +104,7 @@ def _pushes(effect: Placed, fit: RigFit) -> str:
 def _too_short(effect: Placed, fit: RigFit) -> str:
     """A time far below a sample is the sampling itself."""
     entry = PLACED_CATALOGUE[effect.name]
-    least = SHORTEST_LATE * fit.likelihood.balance.motions[0].dt
+    least = SHORTEST_LATE * fit.likelihood.balance.motions[0].sample_time
     late = (p.name for p in entry.keep if entry.place == "input" and p.unit == "s")
     short = next((name for name in late if effect.values[name] <= least), "")
     return f"{short} is shorter than a tenth of a sample" if short else ""

@@ -19,7 +19,13 @@ from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.likelihood import LEAST_SCALE
 from dmptm_ctrl.identify.measured_motion import MOTION_OVER_BALANCE, derivative, grid_of, of_part
 from dmptm_ctrl.identify.rig_fit import RigFit
-from dmptm_ctrl.identify.rig_simulate import free_run, readings, with_other_teeth
+from dmptm_ctrl.identify.rig_simulate import (
+    free_readings,
+    free_run,
+    in_lanes,
+    readings,
+    with_other_teeth,
+)
 from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.signals import Log
@@ -27,6 +33,8 @@ from dmptm_ctrl.signals.units import parse_unit
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel, angle_body
+
+FEW = 4  # runs, one by one; lanes beside each other take as long as two
 
 if TYPE_CHECKING:
     from dmptm_ctrl.plots.diagnosis import Overlay
@@ -115,20 +123,43 @@ class Runs:
             return None
         return done if all(np.isfinite(run).all() for run in done) else None
 
+    def run_all(self, states: Sequence[State]) -> list[list[Floats] | None]:
+        """Run several models on every log, beside each other where runs are long."""
+        if len(states) < FEW or not in_lanes(states[0].model.opened, self.logs):
+            return [self.run(state) for state in states]
+
+        def of(log: Log) -> list[Floats]:
+            models = [self._on(state, log) for state in states]
+            rows = free_readings(models, log, self.sensor.name, lead_hz=self.lead_hz)
+            return [self.seen(row, log.sample_time) for row in rows]
+
+        try:
+            with np.errstate(all="ignore"):
+                tables = in_threads(of, self.logs, self.jobs, len)
+        except (ValueError, ArithmeticError):  # values of one that no machine has
+            return [self.run(state) for state in states]
+        each = ([*runs] for runs in zip(*tables, strict=True))
+        return [runs if all(np.isfinite(run).all() for run in runs) else None for runs in each]
+
     def expected(self, state: State) -> list[Floats] | None:
         """Return the mean of runs with slightly other teeth and waves; without any, the run."""
-        own = self.run(state)
-        others = with_other_teeth(state.model.opened) if own is not None else []
-        several = [own, *(self.run(replace(state, model=model)) for model in others)]
+        others = with_other_teeth(state.model.opened)
+        several = self.run_all([state, *(replace(state, model=model) for model in others)])
+        own = several[0]
         if any(runs is None for runs in several):
             return own
         return [np.mean(parts, axis=0) for parts in zip(*filter(None, several), strict=True)]
 
     def reading(self, state: State, log: Log) -> Floats:
         """What the sensor would have read of a model, (n,), SI."""
-        model = state.model.opened.shifted(state.nuisance(log.name).zero)
+        model = self._on(state, log)
         run = free_run(model, log, lead_hz=self.lead_hz)
         return readings(model, log, run)[self.sensor.name]
+
+    @staticmethod
+    def _on(state: State, log: Log) -> RigModel:
+        """Return a model as it runs on a log."""
+        return state.model.opened.shifted(state.nuisance(log.name).zero)
 
     def seen(self, signal: Floats, dt: float) -> Floats:
         """What is compared of a reading [SI], in the sensor's unit."""
@@ -161,8 +192,8 @@ class Runs:
         And what no law is known below, as in the balance: a share of the speed, as of the torque.
         """
         twins = []
-        for steps in twin_steps(fit.covariance):
-            runs = self.run(after.moved(fit.frees, fit.state.after(fit.frees, steps)))
+        near = (fit.state.after(fit.frees, steps) for steps in twin_steps(fit.covariance))
+        for runs in self.run_all([after.moved(fit.frees, values) for values in near]):
             if runs is not None:
                 joined = zip(runs, self.held, strict=True)
                 twins.append(np.concatenate([run[use] for run, use in joined]))

@@ -255,7 +255,7 @@ def hidden_run(model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisa
         position=position,
         speed=speed,
         given={b: given[b] for b in shared.values()},
-        substeps=1 if everything else min(substeps_for(plant, motion.dt), SUBSTEPS),
+        substeps=1 if everything else min(substeps_for(plant, motion.dt), SUBSTEPS * motion.thin),
     )
 
 
@@ -412,7 +412,7 @@ def resting(v: Floats, share: float) -> NDArray[np.bool_]:
 
 
 def effective_input(model: RigModel, motion: Motion, name: str) -> Floats:
-    """Signal of an input as it acts, at the samples, (n,): effects, limit, dead time and lag.
+    """Signal of an input as it acts, around the samples, (n,): effects, limit, dead time, lag.
 
     The logged signal is held from each sample to the next. It is delayed and lagged, not the
     motion taken back in time: that would amplify the noise of readings.
@@ -423,17 +423,19 @@ def effective_input(model: RigModel, motion: Motion, name: str) -> Floats:
     _, dead, tau, limit = model.plant().input_values[model.layout.inputs.index(name)].tolist()
 
     def act() -> Floats:
-        signal = motion.u[name]
+        signal, thin, dt = motion.sent[name], motion.thin, motion.sample_time
+        time = motion.time[0] + dt * (np.arange(signal.size) - thin // 2)
         for effect in own:
-            signal = signal_along([acting_of(effect)], signal, motion.time)
+            signal = signal_along([acting_of(effect)], signal, time)
         if limit > 0:
             signal = np.clip(signal, -limit, limit)
         if dead + tau > 0:
             before = float(signal[0])
-            signal = delayed_along(signal, dead / motion.dt, before)
-            signal = lagged_along(signal, np.full_like(signal, tau), motion.dt, before)
-        return at_samples(signal, HELD_SPEED if motion.by_speed else HELD_POSITION)
+            signal = delayed_along(signal, dead / dt, before)
+            signal = lagged_along(signal, np.full_like(signal, tau), dt, before)
+        signal = at_samples(signal, HELD_SPEED if motion.by_speed else HELD_POSITION)
+        return signal.reshape(-1, thin).mean(axis=1)
 
     what = (acting_by(own), dead, tau, limit)
-    found: Floats = kept(motion, what, [motion.u[name]], act)
+    found: Floats = kept(motion, what, [motion.sent[name]], act)
     return found

@@ -114,7 +114,7 @@ def scales_of(balance: Balance) -> Scales:
         max(max(float(np.ptp(m.q[point])) for m in motions), 1e-12),
         rms([m.v[point] for m in motions]),
         rms([m.a[point] for m in motions]),
-        motions[0].dt,
+        motions[0].sample_time,
         {i.name: rms([m.u[i.name] for m in motions]) for i in balance.rig.inputs},
     )
 

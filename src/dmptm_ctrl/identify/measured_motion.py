@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, firwin, freqz, sosfiltfilt, upfirdn, welch
 
 from dmptm_ctrl.drive.rig import Rig, Sensor
@@ -24,7 +25,7 @@ MOTION_OVER_BALANCE = 2.0  # bandwidth of the motion over that of the balance
 HIGHEST = 0.1  # of the sample rate: derivatives by differences stay within 1 % below it
 LOWEST = 0.002
 ROWS_PER_HERTZ = 2.5  # of balance bandwidth, after decimation
-BOXES_PER_ROW = 8.0  # at least; sums so short pass the bandwidth whole (0.4 % less at its edge)
+SAMPLES_PER_ROW = 8.0  # at least; the motion has nothing above a fifth of their rate
 TAPS = 3.0  # half-length of the decimation filter in periods of its cut-off
 REST_SHARE = 5e-3  # of the highest speed; slower is at rest
 REST_NOISE = 3.0  # standard deviations of a sensor's noise; slower is at rest
@@ -71,11 +72,11 @@ class Motion:
     Attributes
     ----------
     dt : float
-        Sample time [s].
+        Time between its samples [s]: one in `thin` of the log's.
     time : (n,) array
         From the log's start [s].
     u : dict of input name to (n,) array
-        As logged, SI.
+        Mean from each sample to the next, SI.
     q, v, a : dict of body to (n,) array
         Zero-phase filtered.
     bandwidth : float
@@ -100,57 +101,45 @@ class Motion:
     loose: Mapping[str, Floats] = field(default_factory=dict)  # the same of each toothed link
     flank: Mapping[str, Floats] = field(default_factory=dict)  # 1 or −1, on which they push
     zero: Mapping[str, float] = field(default_factory=dict)  # middle of the gap of each, rad or m
+    thin: int = 1  # samples of the log per sample, an odd number; the middle one is kept
+    sent: Mapping[str, Floats] = field(default_factory=dict)  # `u` at all of the log's samples
     known: dict[Any, Any] = field(default_factory=dict, repr=False)  # what fits ask for again
 
-    @cached_property
-    def box(self) -> int:
-        """Samples that are summed before the filter, an odd number, few beside a row."""
-        row = 1.0 / (self.dt * ROWS_PER_HERTZ * self.bandwidth)
-        return 2 * int(row / (2 * BOXES_PER_ROW)) + 1
+    @property
+    def sample_time(self) -> float:
+        """Sample time of the log [s]."""
+        return self.dt / self.thin
 
     @cached_property
     def step(self) -> int:
         """Samples per row of the balance."""
-        row = 1.0 / (self.dt * ROWS_PER_HERTZ * self.bandwidth)
-        return max(int(row / self.box), 1) * self.box
+        return max(int(1.0 / (self.dt * ROWS_PER_HERTZ * self.bandwidth)), 1)
 
     @cached_property
     def taps(self) -> Floats:
-        """Low-pass filter of the balance, an odd number of weights of sums over `box`."""
+        """Low-pass filter of the balance, an odd number of weights."""
         if self.step == 1:
             return np.ones(1)
-        boxes = self.step // self.box
-        half = boxes * ceil(TAPS / (self.bandwidth * self.dt * self.step))
-        rate = 1.0 / (self.dt * self.box)
-        return firwin(2 * half + 1, self.bandwidth, fs=rate, window="hann") / self.box
+        half = self.step * ceil(TAPS / (self.bandwidth * self.dt * self.step))
+        return firwin(2 * half + 1, self.bandwidth, fs=1.0 / self.dt, window="hann")
 
     def reduce(self, signal: Floats) -> Floats:
-        """Low-pass a signal and keep one row in `step`, (rows,); the edges are left out."""
-        count = self.rows.size
-        boxes = signal.size - 2 * self._inset
-        if self.box == 1:
-            sums = signal[self._inset : self._inset + boxes]
-        else:
-            boxes //= self.box
-            kept = signal[self._inset : self._inset + boxes * self.box]
-            sums = kept.reshape(boxes, self.box).sum(axis=1)
-        down = self.step // self.box
-        first = (self.taps.size - 1) // down
-        return upfirdn(self.taps, sums, down=down)[first : first + count]
+        """Low-pass signals and keep one row in `step`, (..., rows); the edges are left out."""
+        inner = signal[..., self._inset : signal.shape[-1] - self._inset]
+        first = (self.taps.size - 1) // self.step
+        rows = upfirdn(self.taps, inner, down=self.step)
+        return rows[..., first : first + self.rows.size]
 
     def smooth(self, signal: Floats) -> Floats:
-        """Low-pass a signal at the bandwidth of the balance, at all samples."""
-        return np.asarray(sosfiltfilt(self._low_pass, signal))
-
-    @cached_property
-    def _low_pass(self) -> Floats:
-        return np.asarray(butter(4, self.bandwidth, fs=1.0 / self.dt, output="sos"))
+        """Mean of a signal over one period of what is fastest in the motion, at all samples."""
+        period = 1.0 / (MOTION_OVER_BALANCE * self.bandwidth)
+        return np.asarray(uniform_filter1d(signal, max(round(period / self.dt), 1)))
 
     def response(self, omega: Floats) -> Floats:
         """Gain of `reduce` at angular frequencies [rad/s], as far as the filter goes."""
         if self.step == 1:
             return np.ones_like(omega)
-        return freqz(self.taps * self.box, worN=omega * self.dt * self.box)[1]
+        return freqz(self.taps, worN=omega * self.dt)[1]
 
     @property
     def _inset(self) -> int:
@@ -160,13 +149,11 @@ class Motion:
     @cached_property
     def rows(self) -> Floats:
         """Times of the rows [s]."""
-        boxes = (self.time.size - 2 * self._inset) // self.box
-        left = boxes - self.taps.size
+        left = self.time.size - 2 * self._inset - self.taps.size
         if left < 0:
             return self.time[:0]
-        first = self._inset + (self.box * self.taps.size) // 2
-        count = left // (self.step // self.box) + 1
-        return self.time[first :: self.step][:count]
+        first = self._inset + self.taps.size // 2
+        return self.time[first :: self.step][: left // self.step + 1]
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
@@ -205,14 +192,15 @@ class Motion:
     @property
     def samples(self) -> slice:
         """Samples of the log that it holds."""
-        return slice(self.first, self.first + self.time.size)
+        first = self.first * self.thin + self.thin // 2
+        return slice(first, first + (self.time.size - 1) * self.thin + 1, self.thin)
 
     def pieces(self, samples: int) -> tuple["Motion", ...]:
         """Return the middle of each tenth, a motion each, all as many samples together.
 
         They are longer where filters would leave fewer than :data:`FEWEST_ROWS`.
         """
-        least = FEWEST_ROWS * self.step + (self.taps.size + 1) * self.box + 2 * self._inset
+        least = FEWEST_ROWS * self.step + self.taps.size + 1 + 2 * self._inset
         length = max(samples // STRETCHES, least)
         edges = np.arange(STRETCHES + 1) * self.time.size // STRETCHES
         if length >= edges[1]:
@@ -221,15 +209,14 @@ class Motion:
         for k, (start, stop) in enumerate(pairwise(edges.tolist())):
             first = (start + stop - length) // 2
             cut = slice(first, first + length)
+            fine = slice(self.thin * first, self.thin * (first + length))
+            sent = {name: x[fine] for name, x in self.sent.items()}
             u, q, v, a = (
                 {name: x[cut] for name, x in signals.items()}
                 for signals in (self.u, self.q, self.v, self.a)
             )
-            found.append(
-                replace(
-                    self, time=self.time[cut], u=u, q=q, v=v, a=a, known={}, first=first, tenth=k
-                )
-            )
+            cut_out = replace(self, time=self.time[cut], u=u, q=q, v=v, a=a, sent=sent, known={})
+            found.append(replace(cut_out, first=first, tenth=k))
         return tuple(found)
 
     def of(self, part: str) -> bool:
@@ -431,19 +418,28 @@ def prepare(log: Log, rig: Rig, sights: dict[str, Sight], bandwidth: float) -> M
         unclear = _unclear_speed(sight.sensor, raw, signal, cut, rate)
         if fastest > 0:
             rest = max(rest, min(unclear / fastest, MOST_REST))
+    row = rate / (ROWS_PER_HERTZ * bandwidth)
+    thin = max(2 * ((int(row / SAMPLES_PER_ROW) + 1) // 2) - 1, 1)
+    middle = slice(thin // 2, len(log) // thin * thin, thin)
+    sent = {i.name: np.array(log[i.channel])[: middle.stop] for i in rig.inputs}
     return Motion(
         log.name,
-        dt,
-        log.time - log.time[0],
-        {i.name: np.array(log[i.channel]) for i in rig.inputs},
-        q,
-        v,
-        a,
+        thin * dt,
+        (log.time - log.time[0])[middle],
+        {name: _from_sample_on(u, thin) for name, u in sent.items()},
+        *({body: x[middle] for body, x in signals.items()} for signals in (q, v, a)),
         bandwidth,
         frozenset(body for body, sight in sights.items() if sight.angle is not None),
         next(iter(sights.values())).sensor.measures == "speed",
         rest,
+        thin=thin,
+        sent=sent,
     )
+
+
+def _from_sample_on(u: Floats, thin: int) -> Floats:
+    """Mean of a signal from each sample that is kept to the next, (n,)."""
+    return np.append(u[thin // 2 :], [u[-1]] * (thin // 2)).reshape(-1, thin).mean(axis=1)
 
 
 def _unclear_speed(sensor: Sensor, raw: Floats, filtered: Floats, cut: float, rate: float) -> float:

@@ -1,15 +1,18 @@
 """Free run of a rig on a log: what the sensors would have read."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import ceil
+from typing import NamedTuple
 
 import numpy as np
 
+from dmptm_ctrl.drive.rig import Sensor
 from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.many import Common, run_many
 from dmptm_ctrl.simulate.model import Floats
-from dmptm_ctrl.simulate.observer import observer_gains, rigid_observer
+from dmptm_ctrl.simulate.observer import NO_OBSERVER, Observer, observer_gains, rigid_observer
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 from dmptm_ctrl.simulate.rig_run import RigRun, march, most_substeps, substeps_for
@@ -21,6 +24,8 @@ TWINS = 8  # drives beside a fitted one, whose scatter no fit can remove
 # Standard deviation of how stiffness and damping of meshes, which decide when teeth leave their
 # flank, and waves change; no fit knows them more finely.
 SPREAD = 0.003
+STEPS_PER_RADIAN = 4.0  # of the fastest mode; they miss 2e-4 of a speed, sensors far more
+LANES_FROM = 3e5  # steps of all logs once; hundreds of such runs take longer than to compile lanes
 
 
 def initial(model: RigModel, log: Log) -> tuple[dict[str, float], dict[str, float]]:
@@ -69,6 +74,17 @@ def _first(time: Floats, head: Floats, order: int) -> float:
     return float(found[order] / time[-1] ** order) if abs(found[order]) > SURE * error else 0.0
 
 
+class _Start(NamedTuple):
+    """How a run along a log begins, and what leads it."""
+
+    u: Floats
+    position: dict[str, float]
+    speed: dict[str, float]
+    substeps: int
+    observer: Observer
+    measured: Floats | None
+
+
 def free_run(model: RigModel, log: Log, *, lead_hz: float = 0.0) -> RigRun:
     """Run a rig on a log's inputs, from its first sample.
 
@@ -76,6 +92,59 @@ def free_run(model: RigModel, log: Log, *, lead_hz: float = 0.0) -> RigRun:
     starts untwisted. An observer of bandwidth `lead_hz` leads the run by the log's first position,
     or else speed.
     """
+    start = _start(model, log, lead_hz)
+    return march(
+        model, start.u, log.sample_time, position=start.position, speed=start.speed,
+        substeps=start.substeps, before=start.u[:, 0], observer=start.observer,
+        measured=start.measured,
+    )  # fmt: skip
+
+
+def free_readings(
+    models: Sequence[RigModel], log: Log, sensor: str, *, lead_hz: float = 0.0
+) -> Floats:
+    """Return what a sensor would read in :func:`free_run` of several models, (models, n).
+
+    They run beside each other, as the lanes of one loop; rounding differs from that of one run.
+    """
+    first = _start(models[0], log, lead_hz)
+    starts = [first, *(_start(model, log, lead_hz, first.speed) for model in models[1:])]
+    dt, rig, none = log.sample_time, models[0].rig, np.zeros((1, 1))
+    index = [s.name for s in rig.sensors].index(sensor)
+    common = Common(
+        dt, max(s.substeps for s in starts), len(log), first.u[None], none, none[:0],
+        (f"reading{index}",), before=first.u[:, 0],
+    )  # fmt: skip
+    observers = None
+    if lead_hz:
+        observers = [s.observer for s in starts]
+        common = common._replace(measured=np.array([np.atleast_2d(s.measured) for s in starts]))
+    coordinates = [
+        (_by_coordinate(m, s.position), _by_coordinate(m, s.speed))
+        for m, s in zip(models, starts, strict=True)
+    ]
+    found, _ = run_many(models, coordinates, common, observers=observers, switched=True)
+    return np.array([_zeroed(log, rig.sensors[index], run[0]) for run in found])
+
+
+def in_lanes(model: RigModel, logs: Iterable[Log]) -> bool:
+    """Whether many runs along logs are worth lanes of their own."""
+    plant = model.plant()
+    steps = (len(log) * substeps_for(plant, log.sample_time, STEPS_PER_RADIAN) for log in logs)
+    return sum(steps) > LANES_FROM
+
+
+def _by_coordinate(model: RigModel, of_bodies: Mapping[str, float]) -> Floats:
+    found = np.zeros(model.layout.coordinates)
+    for body, value in of_bodies.items():
+        found[model.layout.coordinate[body]] = value / model.layout.ratio[body]
+    return found
+
+
+def _start(
+    model: RigModel, log: Log, lead_hz: float, speed: dict[str, float] | None = None
+) -> _Start:
+    """Return how a run begins; with the `speed` of bodies as another model has it, if given."""
     q0, v0 = initial(model, log)
     u = np.array([log[i.channel] for i in model.rig.inputs])
     layout = model.layout
@@ -87,22 +156,28 @@ def free_run(model: RigModel, log: Log, *, lead_hz: float = 0.0) -> RigRun:
     base = seen[0]
     q_base = q0[base] / layout.ratio[base]
     position = {b: layout.ratio[b] * q_base * reach[g] for g, b in seen.items()}
-    speed = {b: v0[b] for b in seen.values()}
     # a log begins in the midst of things: earlier signals were as its first
-    steps = max(substeps_for(model.plant(), log.sample_time), _steps_of_waves(model, log))
+    steps = substeps_for(model.plant(), log.sample_time, STEPS_PER_RADIAN)
+    steps = min(max(steps, _steps_of_waves(model, log)), most_substeps(log.sample_time))
     run = partial(march, model, dt=log.sample_time, position=position, before=u[:, 0])
-    run = partial(run, substeps=min(steps, most_substeps(log.sample_time)))
-    run = partial(run, speed=_likelier(run, log, u, [dict.fromkeys(speed, 0.0), speed]))
+    run = partial(run, substeps=steps)
+    if speed is None:
+        moving = {b: v0[b] for b in seen.values()}
+        speed = _likelier(run, log, u, [dict.fromkeys(moving, 0.0), moving])
     if lead_hz == 0.0:
-        return run(u)
+        return _Start(u, position, speed, steps, NO_OBSERVER, None)
     rig = model.rig
     index = next((i for i, s in enumerate(rig.sensors) if s.measures == "position"), 0)
     sensor = rig.sensors[index]
     measured = log[sensor.channel]
     if sensor.measures == "position":
-        measured = measured - measured[0] + run(u[:, :1]).reading(sensor.name)[0]
+        body = layout.sensor_body[sensor.name]
+        begun = layout.ratio[body] * q_base * reach[layout.coordinate[body]]
+        if any(e.on == sensor.name for e in model.effects):  # it reads something else
+            begun = run(u[:, :1], speed=speed).reading(sensor.name)[0]
+        measured = measured - measured[0] + begun
     observer = rigid_observer(model.plant(), index, observer_gains(lead_hz, log.sample_time))
-    return run(u, observer=observer, measured=measured)
+    return _Start(u, position, speed, steps, observer, measured)
 
 
 def _steps_of_waves(model: RigModel, log: Log) -> int:
@@ -153,11 +228,15 @@ def readings(model: RigModel, log: Log, run: RigRun) -> dict[str, Floats]:
     """What each sensor would read on a log, its own zero kept, without noise."""
     found = {}
     for sensor in model.rig.sensors:
-        values = run.reading(sensor.name)
-        if sensor.measures == "position" and sensor.channel in log:
-            values = values - values[0] + log[sensor.channel][0]
-        found[sensor.name] = values
+        found[sensor.name] = _zeroed(log, sensor, run.reading(sensor.name))
     return found
+
+
+def _zeroed(log: Log, sensor: Sensor, values: Floats) -> Floats:
+    """What a sensor reads, its zero as on a log."""
+    if sensor.measures == "position" and sensor.channel in log:
+        return values - values[0] + log[sensor.channel][0]
+    return values
 
 
 def with_other_teeth(model: RigModel) -> list[RigModel]:

@@ -41,6 +41,7 @@ class Common(NamedTuple):
     summed: tuple[str, ...] = ()  # of what statistics are
     begin: float = 0.0
     measured: Floats = np.zeros((0, 0, 0))  # (batch or 1, m, n), what observers follow, or none
+    before: Floats | None = None  # (inputs,), signals before the first sample; 0
 
     def of(self, some: Sequence[int]) -> "Common":
         """What some of the plants need of it."""
@@ -172,7 +173,8 @@ def _lanes(
         table, lanes, *calls_of(structure, width, on, bool(torques.any() or summed.size)),
         structure.coordinates, inputs, rows.index["u0"], rows.anew or bool(dead.any()),
         rows.index[rows.seen[0]], count,
-        common.u, kept, np.zeros(inputs), dead, bool(dead.any()), ring,
+        common.u, kept, np.zeros(inputs) if common.before is None else common.before, dead,
+        bool(dead.any()), ring,
         delays, late_of, late_ratio, common.begin, common.dt,
         common.substeps, address_of(laws[0].function), np.array([law.rule for law in laws]),
         np.zeros((width, laws[0].memory)), common.target, common.noise, closed,

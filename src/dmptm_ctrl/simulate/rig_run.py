@@ -73,7 +73,7 @@ class RigRun:
         return layout.ratio[body] * motion[:, layout.coordinate[body]]
 
 
-def substeps_for(plant: Plant, dt: float) -> int:
+def substeps_for(plant: Plant, dt: float, per_radian: float = STEPS_PER_RADIAN) -> int:
     """Substeps per sample that resolve the fastest mode and the fastest decay of a plant."""
     rows, springs, dampers, viscous = link_matrices(plant)
     inverse = 1.0 / plant.inertia[:, None]
@@ -81,7 +81,7 @@ def substeps_for(plant: Plant, dt: float) -> int:
     damping += np.diag(viscous)
     fast = float(np.sqrt(np.abs(np.linalg.eigvals(inverse * stiffness)).max(initial=0.0)))
     decay = float(np.abs(np.linalg.eigvals(inverse * damping)).max(initial=0.0))
-    steps = dt * STEPS_PER_RADIAN * max(fast, decay)
+    steps = dt * per_radian * max(fast, decay)
     return int(min(max(ceil(steps), 1), most_substeps(dt)))
 
 

@@ -127,7 +127,8 @@ def mesh_error(p, rng, strength):
 def backlash_variation(p, rng, strength):
     p.gap_variation = min(0.9, near(rng, 0.25 * strength))
     p.gap_phase = phase(rng)
-    return {"share": p.gap_variation, "phase_rad": p.gap_phase}
+    p.gap_order = 2.0 if p.gap_phase > 0.0 else 1.0  # an oval gear, or one off its centre
+    return {"share": p.gap_variation, "phase_rad": p.gap_phase, "order": p.gap_order}
 
 
 # Ring gear

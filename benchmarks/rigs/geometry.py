@@ -71,7 +71,8 @@ def mesh_stiffness(p, side, pinion):
 def half_gap(p, side, ring):
     gap = p.half_gap[side]
     if p.gap_variation != 0.0:
-        gap *= 1.0 + p.gap_variation * math.cos(ring + side * PINION_SPACING + p.gap_phase)
+        turned = p.gap_order * (ring + side * PINION_SPACING) + p.gap_phase
+        gap *= 1.0 + p.gap_variation * math.cos(turned)
     return gap
 
 

@@ -74,7 +74,7 @@ FIELDS = [
     ("reducer_stiffness", "f8"), ("reducer_damping", "f8"), ("load_friction", "f8"),
     ("runout", "f8", 2), ("runout_phase", "f8", 2), ("eccentricity", "f8"),
     ("eccentricity_phase", "f8"), ("tooth_error", "f8"), ("tooth_phase", "f8", 2),
-    ("gap_variation", "f8"), ("gap_phase", "f8"),
+    ("gap_variation", "f8"), ("gap_phase", "f8"), ("gap_order", "f8"),
     # ring gear
     ("unbalance_cos", "f8"), ("unbalance_sin", "f8"), ("cable_stiffness", "f8"),
     ("cable_rest", "f8"), ("vibration", "f8"), ("vibration_rate", "f8"),

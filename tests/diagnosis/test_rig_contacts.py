@@ -159,6 +159,8 @@ def test_errors_of_a_mesh_between_two_encoders(name):
     assert one.held_gain > LEVEL
     assert not one.objection
     assert one.evidence > max(c.evidence for c in others)
+    if name == "backlash_variation":
+        assert one.fitted[1].model.effect(key).values["order"] == 1.0
     true, share = next(iter(MESH[name].values())), 300.0 if name == "stiffness_variation" else 1.0
     found = one.fitted[1].values
     assert np.hypot(found[f"{key}.cosine"], found[f"{key}.sine"]) == pytest.approx(

@@ -38,14 +38,17 @@ BY_HAND = [
     # the right pinion sits 120° further on: cos 120° = −1/2, sin 120° = √3/2
     ("ring_gear_eccentricity", (0.002, 0.0), (9.0, 9.0, 0.0, 1.0, 1),
      (-0.001, -0.001 * sqrt(3.0), 0.0, 0.0)),
-    ("backlash_variation", (0.002, 0.001, 0.0, 0.0), (9.0, 9.0, pi / 2, 1.0, 0),
+    ("backlash_variation", (0.002, 0.001, 0.0, 0.0, 1.0), (9.0, 9.0, pi / 2, 1.0, 0),
      (0.0, 0.0, 0.001, 0.0)),
-    ("backlash_variation", (0.002, 0.0, 0.0, 0.0), (9.0, 9.0, 0.0, 1.0, 1),
+    ("backlash_variation", (0.002, 0.0, 0.0, 0.0, 1.0), (9.0, 9.0, 0.0, 1.0, 1),
      (0.0, 0.0, -0.001, 0.0)),
     # what differs is added on the left and taken off on the right
-    ("backlash_variation", (0.0, 0.0, 0.002, 0.001), (9.0, 9.0, pi / 2, 1.0, 0),
+    ("backlash_variation", (0.0, 0.0, 0.002, 0.001, 1.0), (9.0, 9.0, pi / 2, 1.0, 0),
      (0.0, 0.0, 0.001, 0.0)),
-    ("backlash_variation", (0.0, 0.0, 0.002, 0.0), (9.0, 9.0, 0.0, 1.0, 1),
+    ("backlash_variation", (0.0, 0.0, 0.002, 0.0, 1.0), (9.0, 9.0, 0.0, 1.0, 1),
+     (0.0, 0.0, 0.001, 0.0)),
+    # an oval gear: an eighth of a turn on, the left pinion is at a quarter of a wave
+    ("backlash_variation", (0.002, 0.001, 0.0, 0.0, 2.0), (9.0, 9.0, pi / 4, 1.0, 0),
      (0.0, 0.0, 0.001, 0.0)),
     # 20 teeth: a quarter of a tooth is 2π/80
     ("mesh_error", (1e-4, 2e-4, 0.0, 0.0, 20.0), (pi / 40, 3.0, 9.0, 9.0, 0),

@@ -218,7 +218,8 @@ def _mesh_effect(tangent: Tangent, entry: PlacedEffect, on: tuple[str, ...]) -> 
         and not model.plant().link_gap[layout.links.index(link.name)]
     ):
         return None
-    shapes: list[dict[str, float]] = [{}]
+    bank = next((p.bank for p in entry.keep if p.bank), ())
+    shapes: list[dict[str, float]] = [{"order": n} for n in bank] or [{}]
     if entry.effect.search == "orders":
         constant = Placed(entry.name, link.name, {"order": 0.0})
         pushed = unit_columns(tangent.fit, balance, constant, ("cosine",))

@@ -148,7 +148,7 @@ def _one_side(name: str, names: dict[str, str], side: int = 0, search: str = "")
 _DRIFT, _LOAD = effect_of("thermal_drift"), effect_of("load_dependent_friction")
 _SHAFT = effect_of("shaft_compliance")
 _WAVE = {"left_cosine": "cosine", "left_sine": "sine", "order": "order"}
-_GAP = {"cosine": "cosine", "sine": "sine"}  # of one mesh
+_GAP = {"cosine": "cosine", "sine": "sine", "order": "order"}  # of one mesh
 _TEETH = "orders"  # search of numbers that no file states
 
 PLACED_CATALOGUE: dict[str, PlacedEffect] = {

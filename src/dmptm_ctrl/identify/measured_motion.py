@@ -422,12 +422,15 @@ def prepare(log: Log, rig: Rig, sights: dict[str, Sight], bandwidth: float) -> M
     thin = max(2 * ((int(row / SAMPLES_PER_ROW) + 1) // 2) - 1, 1)
     middle = slice(thin // 2, len(log) // thin * thin, thin)
     sent = {i.name: np.array(log[i.channel])[: middle.stop] for i in rig.inputs}
+    q, v, a = ({body: x[middle] for body, x in signals.items()} for signals in (q, v, a))
     return Motion(
         log.name,
         thin * dt,
         (log.time - log.time[0])[middle],
         {name: _from_sample_on(u, thin) for name, u in sent.items()},
-        *({body: x[middle] for body, x in signals.items()} for signals in (q, v, a)),
+        q,
+        v,
+        a,
         bandwidth,
         frozenset(body for body, sight in sights.items() if sight.angle is not None),
         next(iter(sights.values())).sensor.measures == "speed",

@@ -118,7 +118,7 @@ def free_readings(
     observers = None
     if lead_hz:
         observers = [s.observer for s in starts]
-        common = common._replace(measured=np.array([np.atleast_2d(s.measured) for s in starts]))
+        common = common._replace(measured=np.array([[s.measured] for s in starts], float))
     coordinates = [
         (_by_coordinate(m, s.position), _by_coordinate(m, s.speed))
         for m, s in zip(models, starts, strict=True)

@@ -9,6 +9,7 @@ import pytest
 from tests.export.test_plant import RIG
 from tests.rig_files.truth import Bench, Machine
 
+from dmptm_ctrl.diagnosis import rig_diagnose
 from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.diagnosis.html import error_rows
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig, predictions, split
@@ -309,6 +310,21 @@ def test_two_effects_and_their_budget():
     speed = found.error["after"]["speed"]
     assert f"{speed['unit']} of {speed['sensor']} (fit" in found.summary()
     assert error_rows(found.error)[0]["name"].startswith(f"free run of {speed['sensor']}, below")
+
+
+def test_effects_that_make_all_predictions_worse_together_are_not_named(monkeypatch):
+    """Each helps beside the other, but the declared model predicts better than both."""
+
+    def helps(without, final):
+        return np.inf if without.keys else 0.0
+
+    fake = (lambda without, final: True), helps
+    monkeypatch.setattr(rig_diagnose, "predictions", lambda *_: fake)
+    bench = Bench(Machine(fc=0.03, offset=0.6), **SMALL)
+    rig = parse_rig(bench.rig(), "rig.toml")
+    found = diagnose_rig(logs_of(bench, rig), rig, jobs=1)
+    assert not found.effects
+    assert found.verdict == "unknown"
 
 
 def test_nothing_is_named_where_nothing_is_missing():

@@ -118,7 +118,8 @@ def diagnose_rig(
     floor = predicted(selection.final, found)
     at_floor = within_floor(selection, floor)
     plain = better_without_names(selection) if selection.entries else []
-    if selection.entries and (at_floor or plain) and not explains(base, settled):
+    vain = bool(selection.entries) and helps(base, settled) == 0.0  # predictions all got worse
+    if vain or (selection.entries and (at_floor or plain) and not explains(base, settled)):
         bare = selection.base
         selection = replace(selection, final=bare, entries=[], rest=selection.first)
         found = plain or curves(bare)

@@ -154,13 +154,13 @@ def _selected(evidence: RigEvidence, base: RigState, say: Callable[[str], None])
     effects, both are looked at. Each value outside counts as one effect.
     """
     kept, loose = select_effects(evidence, base, say), evidence.free(base)
+    start = evidence.free(kept.final) if kept.final.keys else loose
     best = max((c.evidence for c in kept.first if c.acceptable), default=0.0)
     if sum(evidence.gains(base, loose)) <= max(best, LEVEL):
-        last = kept.final
-        if beyond_need(evidence, last, evidence.free(last)) <= 0.0:
+        if beyond_need(evidence, kept.final, start) <= 0.0:
             return kept
     say("declared values would leave their ranges: looking again with them free")
-    free = select_effects(evidence, loose, say)
+    free = select_effects(evidence, loose, say, begun=(kept, start))
     last = kept.final
     if last.logs is not free.final.logs:
         last = evidence.refit(last, free.final.logs, free.final.held)

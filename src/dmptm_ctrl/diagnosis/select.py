@@ -106,21 +106,30 @@ class Selection:
 
 
 def select_effects(
-    evidence: Evidence, base: State, say: Callable[[str], None] = lambda _: None
+    evidence: Evidence,
+    base: State,
+    say: Callable[[str], None] = lambda _: None,
+    *,
+    begun: tuple[Selection, State] | None = None,
 ) -> Selection:
     """Select effects until no candidate and no small set of them is acceptable.
 
-    `base` is the declared model, fitted; `say` hears each step.
+    `base` is the declared model, fitted; `say` hears each step. An earlier selection and a model
+    with its effects are where another is `begun`.
     """
     selection = Selection(base, base)
     state = base
-    seen: set[frozenset[str]] = {frozenset(base.keys)}
     vain: set[Keys] = set()  # what led back to a model that was there already
 
     def step(text: str) -> None:
         selection.path.append(text)
         say(text)
 
+    if begun is not None:
+        earlier, state = begun
+        selection.first, selection.known = earlier.first, dict(earlier.known)
+        state = pruned(evidence, state, step)
+    seen: set[frozenset[str]] = {frozenset(state.keys)}
     while len(state.keys) < MOST and len(vain) < SET_TRIALS:
         candidates = ranked(evidence.candidates(state))
         selection.first = selection.first or candidates

@@ -68,15 +68,16 @@ def test_one_side_tells_what_teeth_carry_while_they_push(rig):
     for k, (motion, (_, carried)) in enumerate(zip(balance.motions, pairs, strict=True)):
         for name, true in carried.items():
             use = balance.counted[k][balance.teeth[name]]
-            # they bounce after a reversal, and not for long
-            assert 0.1 < use.sum() / motion.moving.sum() < 0.98
             told, truth = motion.reduce(forces[k].carried[name]), motion.reduce(true)
             assert np.std((told - truth)[use]) < 0.1 * np.std(truth)
             flight = motion.reduce((np.abs(true) < 0.2).astype(float))  # the damping of the gap
-            assert np.mean(flight[use] > 0.1) < 0.02
-            assert flight[motion.moving].max() > 0.5  # of these rows many are in flight
+            calm = motion.reduce(motion.calm[name])
+            # they bounce after a reversal, and not for long
+            assert calm[use & (flight > 0.5)].mean() < 0.4
+            assert calm[use & (flight < 0.01)].mean() > 0.85
             flank = motion.reduce(motion.flank[name])
-            np.testing.assert_allclose(flank[use], np.sign(truth[use]), atol=0.2)
+            rest = use & (flight < 0.1)
+            np.testing.assert_allclose(flank[rest], np.sign(truth[rest]), atol=0.2)
 
 
 def test_gaps_and_stiffness_are_found_from_wherever_encoders_start(rig):
@@ -330,7 +331,8 @@ def test_noise_of_a_load_is_what_more_noise_adds(joint):
         for _ in range(8):
             again = noisier(balance, logs, rng)
             pairs = zip(again.motions, balance.motions, strict=True)
-            same = [replace(a, loose=b.loose, flank=b.flank, zero=b.zero) for a, b in pairs]
+            marks = ("loose", "flank", "calm", "zero")
+            same = [replace(a, **{k: getattr(b, k) for k in marks}) for a, b in pairs]
             after, _ = residuals(State(model), replace(again, motions=tuple(same)))
             rows = zip(after, before, balance.counted, strict=True)
             variances += [[np.var((a - b)[e, use[e]]) for e in (0, 1)] for a, b, use in rows]

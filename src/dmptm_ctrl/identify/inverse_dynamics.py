@@ -187,6 +187,17 @@ class Balance:
         """Noise of readings in the band of the balance; see :func:`.reading_noise.spectrum`."""
         return spectrum(self)
 
+    @cached_property
+    def calm(self) -> dict[str, float]:
+        """What the twist of each toothed link counts where it pushes, root mean square."""
+        found = {}
+        for link, k in self.teeth.items():
+            pairs = zip(self.motions, self.counted, strict=True)
+            rows = [m.reduce(m.calm[link])[use[k]] for m, use in pairs if link in m.calm]
+            whole = np.concatenate(rows) if rows else np.ones(1)
+            found[link] = float(np.sqrt(np.mean(whole**2))) if whole.size else 1.0
+        return found
+
     def twists(self, factors: tuple[tuple[str, float], ...]) -> Floats:
         """Sizes of a twist from the middle of its range, sorted; by points and their factors."""
         if factors not in self.known:

@@ -100,6 +100,8 @@ class Motion:
     open_links: Floats | None = None  # 1.0 at samples that do not count: followed links are open
     loose: Mapping[str, Floats] = field(default_factory=dict)  # the same of each toothed link
     flank: Mapping[str, Floats] = field(default_factory=dict)  # 1 or −1, on which they push
+    # what samples of a twist count, 1 or less where teeth swing by more than they wind up
+    calm: Mapping[str, Floats] = field(default_factory=dict)
     zero: Mapping[str, float] = field(default_factory=dict)  # middle of the gap of each, rad or m
     thin: int = 1  # samples of the log per sample, an odd number; the middle one is kept
     sent: Mapping[str, Floats] = field(default_factory=dict)  # `u` at all of the log's samples

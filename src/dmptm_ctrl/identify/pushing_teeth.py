@@ -66,24 +66,34 @@ def centred(balance: Balance, model: RigModel) -> Balance:
 
 
 def pushing(balance: Balance, model: RigModel, logs: Iterable[Log]) -> Balance:
-    """Tell on which flank teeth push, and when they do not: bouncing, or just after an impact.
+    """Tell on which flank teeth push, how much they swing there, and when they change it.
 
     The torque that the balance of one side asks of them shows the flank: errors of teeth may be
-    as large as the gap. They bounce where they swing by more than that torque winds them up.
+    as large as the gap. Teeth that bounce are off it by about as much as they swing.
     """
     if not balance.teeth:
         return balance
-    named, motions = {log.name: log for log in logs}, []
+    named = {log.name: log for log in logs}
+    found: list[dict[str, tuple[Floats, Floats]]] = []  # wind-up and swing of each link
     for motion in balance.motions:
-        forces, loose, flank = forces_of(model, balance, motion), {}, {}
+        forces, of_links = forces_of(model, balance, motion), {}
         for name, (*_, stiffness) in forces.twists.items():
-            torque = uniform_filter1d(forces.carried[name], _span(motion))
-            side = np.where(torque > 0.0, 1.0, -1.0)
+            wound = uniform_filter1d(forces.carried[name], _span(motion)) / stiffness
             swing = _swing(balance, model, named[motion.name], name, motion)
-            off = np.abs(torque) / stiffness <= np.sqrt(2.0 * swing)
-            off |= lately_changed(side, motion.dt)
-            loose[name], flank[name] = off.astype(float), side
-        motions.append(replace(motion, loose=loose, flank=flank))
+            of_links[name] = wound, swing
+        found.append(of_links)
+    usual = {
+        name: float(np.mean(np.concatenate([one[name][0] ** 2 for one in found])))
+        for name in balance.teeth
+    }
+    motions = []
+    for motion, of_links in zip(balance.motions, found, strict=True):
+        loose, flank, calm = {}, {}, {}
+        for name, (wound, swing) in of_links.items():
+            flank[name] = np.where(wound > 0.0, 1.0, -1.0)
+            loose[name] = lately_changed(flank[name], motion.dt).astype(float)
+            calm[name] = 1.0 / np.sqrt(1.0 + swing / usual[name])
+        motions.append(replace(motion, loose=loose, flank=flank, calm=calm))
     return replace(balance, motions=tuple(motions), known={}, noises={})
 
 

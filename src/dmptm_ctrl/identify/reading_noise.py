@@ -187,7 +187,7 @@ def _through_teeth(
         k = model.layout.links.index(name)
         twist = np.einsum("g,wgp->wp", rows[k], position)
         with np.errstate(divide="ignore", invalid="ignore"):  # a trial without a spring
-            found[name] = in_twist(
+            found[name] = balance.calm[name] * in_twist(
                 model, balance, name, twist, s[:, None] * twist, torque, plant.link_values[k, 1]
             )
     return found

@@ -6,7 +6,8 @@ While teeth rest on a flank, the measured twist shows what they carry,
 
 and the balance of all bodies on one side of the link shows the same torque. It stands in the
 twist, so that the noise of a twist does not make a stiffness small. After a reversal teeth
-chatter, which no model predicts; until they push again, only the balance of all bodies counts.
+chatter, which no model predicts: they are off their flank by about as much as they swing, and
+count less there.
 Source: paper Eq. 21, in contact.
 """
 
@@ -133,7 +134,8 @@ def missing(
     """Twist that a model does not explain, as a torque at the first coordinate, (n,)."""
     z, rate, gap, stiffness = twist
     wound = z - gap * motion.flank.get(name, np.sign(z))
-    return np.asarray(in_twist(model, balance, name, wound, rate, torque, stiffness))
+    calm = motion.calm.get(name, 1.0)
+    return np.asarray(calm * in_twist(model, balance, name, wound, rate, torque, stiffness))
 
 
 def in_twist(

@@ -156,9 +156,9 @@ def _selected(evidence: RigEvidence, base: RigState, say: Callable[[str], None])
     kept, loose = select_effects(evidence, base, say), evidence.free(base)
     start = evidence.free(kept.final) if kept.final.keys else loose
     best = max((c.evidence for c in kept.first if c.acceptable), default=0.0)
-    if sum(evidence.gains(base, loose)) <= max(best, LEVEL):
-        if beyond_need(evidence, kept.final, start) <= 0.0:
-            return kept
+    inside = sum(evidence.gains(base, loose)) <= max(best, LEVEL)
+    if inside and beyond_need(evidence, kept.final, start) <= 0.0:
+        return kept
     say("declared values would leave their ranges: looking again with them free")
     free = select_effects(evidence, loose, say, begun=(kept, start))
     last = kept.final

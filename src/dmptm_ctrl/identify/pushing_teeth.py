@@ -82,8 +82,9 @@ def pushing(balance: Balance, model: RigModel, logs: Iterable[Log]) -> Balance:
             swing = _swing(balance, model, named[motion.name], name, motion)
             of_links[name] = wound, swing
         found.append(of_links)
+    tiny = np.finfo(float).tiny
     usual = {
-        name: float(np.mean(np.concatenate([one[name][0] ** 2 for one in found])))
+        name: float(np.mean(np.concatenate([one[name][0] ** 2 for one in found]))) + tiny
         for name in balance.teeth
     }
     motions = []

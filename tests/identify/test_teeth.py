@@ -72,6 +72,10 @@ def test_one_side_tells_what_teeth_carry_while_they_push(rig):
             assert np.std((told - truth)[use]) < 0.1 * np.std(truth)
             flight = motion.reduce((np.abs(true) < 0.2).astype(float))  # the damping of the gap
             calm = motion.reduce(motion.calm[name])
+            assert use.sum() > 0.1 * motion.moving.sum()
+            weight = np.where(use, calm, 0.0) ** 2
+            away = flight > 0.1
+            assert weight[away].sum() / weight.sum() < (use & away).sum() / use.sum() / 3.0
             # they bounce after a reversal, and not for long
             assert calm[use & (flight > 0.5)].mean() < 0.4
             assert calm[use & (flight < 0.01)].mean() > 0.85

@@ -122,7 +122,7 @@ class Ahead:
         ranged = [f for f in fit.frees if f.kind == "value" and f.prior]
         declared = fit.state.moved(ranged, [f.prior[0] for f in ranged if f.prior])
         starts = (fit.state, declared) if ranged else (fit.state,)
-        begun = [here for here in (self._at(start, fit) for start in starts) if here]
+        begun = [here for here in self._ends(starts, fit) if here]
         ends = [self._settled(self._damped(here, fit), fit) for here in begun]
         if not ends:
             return state
@@ -144,12 +144,8 @@ class Ahead:
         )
         return replace(state, fit=done)
 
-    def _at(self, state: State, fit: RigFit) -> "_End | None":
-        """What a state leaves; None where a run diverges."""
-        return self._ends([state], fit)[0]
-
     def _ends(self, states: Sequence[State], fit: RigFit) -> list["_End | None"]:
-        """What several states leave."""
+        """What states leave; None where a run diverges."""
         found = zip(states, map(self._missing, self.runs.run_all(states)), strict=True)
         return [
             None if missing is None else _End(s, *residuals(s, fit.likelihood.balance), missing)

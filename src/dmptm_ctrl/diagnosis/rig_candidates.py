@@ -218,12 +218,11 @@ def _mesh_effect(tangent: Tangent, entry: PlacedEffect, on: tuple[str, ...]) -> 
         and not model.plant().link_gap[layout.links.index(link.name)]
     ):
         return None
-    bank = next((p.bank for p in entry.keep if p.bank), ())
-    shapes: list[dict[str, float]] = [{"order": n} for n in bank] or [{}]
+    pushed = None
     if entry.effect.search == "orders":
         constant = Placed(entry.name, link.name, {"order": 0.0})
         pushed = unit_columns(tangent.fit, balance, constant, ("cosine",))
-        shapes = [{"order": n} for n in orders(tangent, body, pushed)]
+    shapes = _shapes(tangent, entry, body, pushed)
     same = absolute(model, balance, body)
     found = _linear(tangent, entry, on, shapes, ("cosine", "sine"), same)
     moved = {k: v for k, v in model.values.items() if v != own.model.values.get(k)}
@@ -231,12 +230,14 @@ def _mesh_effect(tangent: Tangent, entry: PlacedEffect, on: tuple[str, ...]) -> 
     return found and replace(found, values=moved, twist=twist)
 
 
-def _shapes(tangent: Tangent, entry: PlacedEffect, body: str) -> list[dict[str, float]]:
-    """Values of what has no meaning at zero amplitude, to try."""
+def _shapes(
+    tangent: Tangent, entry: PlacedEffect, body: str, pushed: Sequence[Floats] | None = None
+) -> list[dict[str, float]]:
+    """Values of what has no meaning at zero amplitude, to try; `pushed` as of :func:`orders`."""
     model, motions = tangent.fit.model, tangent.balance.motions
     search = entry.effect.search
     if search == "orders":
-        return [{"order": n} for n in orders(tangent, body)]
+        return [{"order": n} for n in orders(tangent, body, pushed)]
     if search == "frequencies":
         return [{"frequency": f} for f in frequencies(tangent)]
     if search == "places":

@@ -34,10 +34,10 @@ from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel, angle_body
 
-FEW = 4  # runs, one by one; lanes beside each other take as long as two
-
 if TYPE_CHECKING:
     from dmptm_ctrl.plots.diagnosis import Overlay
+
+FEW = 4  # fewer runs go one after the other: a loop over lanes takes as long as they do
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,25 +125,31 @@ class Runs:
 
     def run_all(self, states: Sequence[State]) -> list[list[Floats] | None]:
         """Run several models on every log, beside each other where runs are long."""
-        if len(states) < FEW or not in_lanes(states[0].model.opened, self.logs):
-            return [self.run(state) for state in states]
+        if len(states) >= FEW:
+            try:
+                if in_lanes(states[0].model.opened, self.logs):
+                    return self._in_lanes(states)
+            except (ValueError, ArithmeticError):  # values of one that no machine has
+                pass
+        return [self.run(state) for state in states]
 
+    def _in_lanes(self, states: Sequence[State]) -> list[list[Floats] | None]:
         def of(log: Log) -> list[Floats]:
             models = [self._on(state, log) for state in states]
             rows = free_readings(models, log, self.sensor.name, lead_hz=self.lead_hz)
             return [self.seen(row, log.sample_time) for row in rows]
 
-        try:
-            with np.errstate(all="ignore"):
-                tables = in_threads(of, self.logs, self.jobs, len)
-        except (ValueError, ArithmeticError):  # values of one that no machine has
-            return [self.run(state) for state in states]
+        with np.errstate(all="ignore"):
+            tables = in_threads(of, self.logs, self.jobs, len)
         each = ([*runs] for runs in zip(*tables, strict=True))
         return [runs if all(np.isfinite(run).all() for run in runs) else None for runs in each]
 
     def expected(self, state: State) -> list[Floats] | None:
         """Return the mean of runs with slightly other teeth and waves; without any, the run."""
-        others = with_other_teeth(state.model.opened)
+        try:
+            others = with_other_teeth(state.model.opened)
+        except ValueError:  # values that no machine has
+            return None
         several = self.run_all([state, *(replace(state, model=model) for model in others)])
         own = several[0]
         if any(runs is None for runs in several):

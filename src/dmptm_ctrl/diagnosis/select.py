@@ -114,8 +114,8 @@ def select_effects(
 ) -> Selection:
     """Select effects until no candidate and no small set of them is acceptable.
 
-    `base` is the declared model, fitted; `say` hears each step. An earlier selection and a model
-    with its effects are where another is `begun`.
+    `base` is the declared model, fitted; `say` hears each step. With `begun`, an earlier selection
+    and a model with its effects, the steps begin at that model.
     """
     selection = Selection(base, base)
     state = base

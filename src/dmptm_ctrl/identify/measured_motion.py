@@ -420,6 +420,7 @@ def prepare(log: Log, rig: Rig, sights: dict[str, Sight], bandwidth: float) -> M
         unclear = _unclear_speed(sight.sensor, raw, signal, cut, rate)
         if fastest > 0:
             rest = max(rest, min(unclear / fastest, MOST_REST))
+    # the largest odd number that leaves so many samples in a row, and some in a short log
     row = min(rate / (ROWS_PER_HERTZ * bandwidth), len(log))
     thin = max(2 * ((int(row / SAMPLES_PER_ROW) + 1) // 2) - 1, 1)
     middle = slice(thin // 2, len(log) // thin * thin, thin)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from dmptm_ctrl.contract import MOTOR_ENCODERS
 from dmptm_ctrl.diagnosis.budget import verdict_of
+from dmptm_ctrl.diagnosis.confirmed import confirmed
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState
 from dmptm_ctrl.diagnosis.dual_budget import assess, rise
 from dmptm_ctrl.diagnosis.dual_report import (
@@ -57,6 +58,7 @@ def diagnose_dual(
         evidence = DualEvidence(measured, tuple(sensors.values), jobs)
         selection = without_negligible(evidence, select_effects(evidence, base, say), rise)
         selection = with_short_predictions(evidence, selection, say)
+        selection = confirmed(evidence, selection)
         left = of_windows(selection.final.left)
         rest = unexplained(base.left, left, sum(e.evidence for e in selection.entries))
         rest, tables = in_tables(left, rest, jobs) if rest is not None else (None, None)

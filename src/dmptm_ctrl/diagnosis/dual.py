@@ -28,6 +28,7 @@ from dmptm_ctrl.identify.balance import (
     row_surprises,
     settled_fit,
     surprises,
+    weights,
 )
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats
@@ -181,6 +182,12 @@ class DualEvidence:
             standard_error(smaller.rows, larger.rows, larger.fitted.lengths),
             standard_error(smaller.held_rows, larger.held_rows, larger.held.lengths),
         )
+
+    def held_rows(self, smaller: DualState, larger: DualState) -> tuple[Floats, Floats]:
+        left, kinds = larger.held_missing, larger.left.held.kinds
+        lengths = np.repeat(larger.held.lengths, [part.size for part in left])
+        each = weights(left, kinds) / np.sqrt(lengths)
+        return each * np.concatenate(smaller.held_missing), each * np.concatenate(left)
 
     def ratio(self, state: DualState) -> float:
         counts = (sum(int(e.used.sum()) for e in b.equations) for b in (

@@ -101,7 +101,8 @@ class Chatter:
 
         def power_of(task: tuple[Record, Floats]) -> Floats:
             rec, seen = task
-            runs = march_any(models, rec.u, rec.x0, rec.dt, substeps=SUBSTEPS, columns=SPEED)
+            timed = [model.over(rec.seconds) for model in models]
+            runs = march_any(timed, rec.u, rec.x0, rec.dt, substeps=SUBSTEPS, columns=SPEED)
             rows = np.array([powers(run[:, 0], rec.dt).mean(1) for run in runs])
             return np.asarray(np.log((rows + self.noise) / seen.mean(1)))
 

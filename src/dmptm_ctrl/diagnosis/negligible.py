@@ -17,15 +17,29 @@ def without_negligible(
     Laws that are only nearly right are imitated by them. `rise` of (without, with) is the share by
     which what is left rises without an effect.
     """
+    return without_weak(evidence, selection, rise, NEGLIGIBLE, "negligible")
+
+
+def without_weak(
+    evidence: Evidence,
+    selection: Selection,
+    worth: Callable[[Any, Any], float],
+    least: float,
+    why: str,
+) -> Selection:
+    """Take out effects whose worth, of the model (without, with), is below `least`.
+
+    The one that is worth least goes first, as long as the others still are worth too little.
+    """
     final = selection.final
-    left_out = {e.key: e.without for e in selection.entries if rise(e.without, final) < NEGLIGIBLE}
+    left_out = {e.key: e.without for e in selection.entries if worth(e.without, final) < least}
     while left_out:
-        by = {key: rise(one, final) for key, one in left_out.items()}
-        least = min(by, key=lambda key: by[key])
-        if by[least] >= NEGLIGIBLE:
+        by = {key: worth(one, final) for key, one in left_out.items()}
+        weakest = min(by, key=lambda key: by[key])
+        if by[weakest] >= least:
             break
-        final = left_out.pop(least)
-        selection.path.append(f"- {least}: negligible")
+        final = left_out.pop(weakest)
+        selection.path.append(f"- {weakest}: {why}")
         # the others may have hidden behind it
         left_out = {key: evidence.without(final, key) for key in left_out if key in final.keys}
     if final is selection.final:

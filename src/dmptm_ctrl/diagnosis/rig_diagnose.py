@@ -11,6 +11,7 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.budget import EXPLAINED, NEGLIGIBLE, Errors, Squares, near
 from dmptm_ctrl.diagnosis.candidate import LEVEL
+from dmptm_ctrl.diagnosis.confirmed import confirmed
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.report import Diagnosis, provenance
 from dmptm_ctrl.diagnosis.rig_ahead import Ahead
@@ -88,7 +89,7 @@ def diagnose_rig(
     _, held_logs, held_names, on = split(declared, balance)
     short_runs = Ahead.of(declared, right, base.logs, SAMPLES, jobs)
     ahead = cache(lambda state: beside_torques(state, short_runs.fitted(state)))
-    explains, helps = predictions(declared, right, held_logs, ahead, jobs)
+    explains = explaining(declared, right, held_logs, ahead, jobs)
 
     def grows(without: RigState, final: RigState) -> float:
         more = rise(without, final)
@@ -102,7 +103,7 @@ def diagnose_rig(
     contact = last.fit.model
     as_read = _as_read(declared, loaded, balance, base, contact, jobs) if faults else None
     selection = without_negligible(evidence, selection, grows)
-    selection = without_negligible(evidence, selection, helps)
+    selection = confirmed(evidence, selection)
     if not selection.entries:  # what was found on the way and went may have left another fit
         selection = replace(selection, final=base)
     say("fitting to short predictions")
@@ -118,8 +119,7 @@ def diagnose_rig(
     floor = predicted(selection.final, found)
     at_floor = within_floor(selection, floor)
     plain = better_without_names(selection) if selection.entries else []
-    vain = bool(selection.entries) and helps(base, settled) == 0.0  # predictions all got worse
-    if vain or (selection.entries and (at_floor or plain) and not explains(base, settled)):
+    if selection.entries and (at_floor or plain) and not explains(base, settled):
         bare = selection.base
         selection = replace(selection, final=bare, entries=[], rest=selection.first)
         found = plain or curves(bare)
@@ -211,31 +211,22 @@ def _started_anew(evidence: RigEvidence, base: RigState, link: str) -> RigState:
     return min(base, again, key=lambda one: surprise(one.fit.model))
 
 
-def predictions(
+def explaining(
     rig: Rig,
     logs: Sequence[Log],
     held: Balance,
     ahead: Callable[[RigState], RigState],
     jobs: int,
-) -> tuple[Callable[[RigState, RigState], bool], Callable[[RigState, RigState], float]]:
-    """Return two functions of a model without some effects, and the model with them.
+) -> Callable[[RigState, RigState], bool]:
+    """Return whether effects explain what predictions of held-out logs miss without them.
 
-    Both compare free runs and short predictions of held-out logs.
+    Of a model without some effects, and the model with them; of free runs and short predictions.
+    Noise of the balance may hide what builds up in a run.
 
     Parameters
     ----------
     ahead : callable
         Fits a model to short predictions of the fitted logs as well.
-
-    Returns
-    -------
-    explains : callable
-        Whether the effects explain what predictions miss without them. Noise of the balance may
-        hide what builds up in a run.
-    helps : callable
-        Infinite where a prediction gets worse without the effects, else nothing. The balance
-        compares filtered signals and looks at no sensor's errors; what these do to it looks like
-        many an effect.
     """
     runs = [Runs.none_yet(rig, logs, held, jobs, lead) for lead in (0.0, BANDWIDTH_HZ)]
     missed = cache(lambda state: [one.missed(ahead(state).held_state) for one in runs])
@@ -259,11 +250,7 @@ def predictions(
         far = any(m and not near(m.before, m.floor) for m in sizes)
         return far and Errors(1.0, 1.0, 1.0, *sizes).explained >= EXPLAINED
 
-    def helps(without: RigState, final: RigState) -> float:
-        pairs = zip(missed(without), missed(final), strict=True)
-        return inf if any(bare > whole or whole == inf for bare, whole in pairs) else 0.0
-
-    return explains, helps
+    return explains
 
 
 def _as_read(

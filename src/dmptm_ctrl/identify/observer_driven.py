@@ -49,7 +49,7 @@ class ObserverRun:
         """Return the same of several models at once, (models, count)."""
         rec = self.rec
         runs = march_any(
-            [model.over(rec.omega.size * rec.dt) for model in models],
+            [model.over(rec.seconds) for model in models],
             rec.u,
             rec.x0,
             rec.dt,

@@ -43,6 +43,11 @@ class Record:
     x0: Floats
     time: Floats
 
+    @property
+    def seconds(self) -> float:
+        """How long the log lasts [s]."""
+        return self.omega.size * self.dt
+
 
 def record(log: Log, drive: Drive) -> Record:
     """Prepare a log of the dual-motor rig.
@@ -122,4 +127,5 @@ def predict(rec: Record, model: Model, bandwidth_hz: float = 0.0) -> Floats:
         Columns of `compiled.OUTPUTS`.
     """
     observer = observer_gains(bandwidth_hz, rec.dt) if bandwidth_hz > 0 else None
-    return march(model, rec.u, rec.x0, rec.dt, observer=observer, measured=rec.theta)
+    run = model.over(rec.seconds)
+    return march(run, rec.u, rec.x0, rec.dt, observer=observer, measured=rec.theta)

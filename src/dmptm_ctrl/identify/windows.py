@@ -66,8 +66,7 @@ class Windowed:
     @property
     def seconds(self) -> float:
         """Length of each motion."""
-        rec = self.motions[0].rec
-        return float(rec.u.shape[1] * rec.dt)
+        return self.motions[0].rec.seconds
 
     @cached_property
     def twisted(self) -> bool:

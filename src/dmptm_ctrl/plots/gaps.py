@@ -176,6 +176,7 @@ def gap_motion(log: Any, model: Any) -> GapMotion:
     else:
         voltage = np.array([log["u_left"], log["u_right"]])
         start = rest(model, float(log["theta_L"][0]))
-        place = march(model, voltage, start, log.sample_time)[:, 6:8].T
+        timed = model.over(log.time.size * log.sample_time)
+        place = march(timed, voltage, start, log.sample_time)[:, 6:8].T
         source = "simulated"
     return GapMotion(log.name, log.time, place / gaps[:, None], np.rad2deg(log["omega_L"]), source)

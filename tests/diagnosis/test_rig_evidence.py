@@ -9,10 +9,9 @@ import pytest
 from tests.export.test_plant import RIG
 from tests.rig_files.truth import Bench, Machine
 
-from dmptm_ctrl.diagnosis import rig_diagnose
 from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.diagnosis.html import error_rows
-from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig, predictions, split
+from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig, explaining, split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.diagnosis.rig_objections import _harmonic, objection
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
@@ -82,7 +81,7 @@ class Held:
     fit: Any = None
 
 
-def test_predictions_confirm_friction_and_refute_a_delay_and_a_weight(rubbing):
+def test_predictions_explain_friction_and_no_delay(rubbing):
     evidence, base = rubbing
     (friction,) = evidence.candidates(base, ["coulomb_friction@motor"])
     state = evidence.adopt(base, friction)
@@ -92,16 +91,9 @@ def test_predictions_confirm_friction_and_refute_a_delay_and_a_weight(rubbing):
         State(held.model.with_effect(delay), held.logs), (*state.keys, delay.key), state.fit
     )
     logs = logs_of(Bench(Machine(fc=0.03), **SMALL), rig)
-    reported, helps = predictions(rig, logs, evidence.held, lambda state: state, 1)
-    assert reported(base, state)  # it explains what they miss without it
-    assert not reported(state, late)
-    assert helps(base, state) == np.inf
-    assert helps(state, late) == 0.0
-    true = Held(held, late.keys)  # predictions get worse without what it has
-    assert helps(Held(late.held_state, state.keys), true) == np.inf
-    weight = Placed("unbalance", "motor", {"cosine": 0.02, "sine": 0.0})
-    loaded = State(held.model.with_effect(weight), held.logs)
-    assert helps(state, Held(loaded, (*state.keys, weight.key), state.fit)) == 0.0
+    explains = explaining(rig, logs, evidence.held, lambda state: state, 1)
+    assert explains(base, state)  # it explains what they miss without it
+    assert not explains(state, late)
 
 
 def test_a_wrong_inertia_is_in_the_sentence():
@@ -310,21 +302,6 @@ def test_two_effects_and_their_budget():
     speed = found.error["after"]["speed"]
     assert f"{speed['unit']} of {speed['sensor']} (fit" in found.summary()
     assert error_rows(found.error)[0]["name"].startswith(f"free run of {speed['sensor']}, below")
-
-
-def test_effects_that_make_all_predictions_worse_together_are_not_named(monkeypatch):
-    """Each helps beside the other, but the declared model predicts better than both."""
-
-    def helps(without, final):
-        return np.inf if without.keys else 0.0
-
-    fake = (lambda without, final: True), helps
-    monkeypatch.setattr(rig_diagnose, "predictions", lambda *_: fake)
-    bench = Bench(Machine(fc=0.03, offset=0.6), **SMALL)
-    rig = parse_rig(bench.rig(), "rig.toml")
-    found = diagnose_rig(logs_of(bench, rig), rig, jobs=1)
-    assert not found.effects
-    assert found.verdict == "unknown"
 
 
 def test_nothing_is_named_where_nothing_is_missing():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, Rows, differ
+from dmptm_ctrl.diagnosis.confirmed import confirmed, contradicted
 from dmptm_ctrl.diagnosis.select import (
     TEMPERATURE,
     Entry,
@@ -37,10 +38,14 @@ class Model:
         return np.linalg.lstsq(self.basis, self.data.y, rcond=None)[0]
 
     @property
+    def held_missed(self):
+        there = np.column_stack([np.ones(HELD), *(self.data.held_x[k] for k in self.keys)])
+        return self.data.held_y - there @ self.values
+
+    @property
     def missed(self):
         """Squares of the held-out rows."""
-        there = np.column_stack([np.ones(HELD), *(self.data.held_x[k] for k in self.keys)])
-        return (self.data.held_y - there @ self.values) ** 2
+        return self.held_missed**2
 
     @property
     def target(self):
@@ -83,6 +88,9 @@ class Linear:
 
     def errors(self, smaller, larger):
         return 0.0, 0.0  # of rows whose scatter is known
+
+    def held_rows(self, smaller, larger):
+        return smaller.held_missed, larger.held_missed
 
     def ratio(self, state):
         return ROWS / HELD
@@ -344,6 +352,47 @@ def test_what_both_parts_of_the_logs_ask_for_enters_though_one_part_asks_for_mor
     assert best_of([limit, drift], 3.0) is drift
     assert best_of([limit, drift, whole], 3.0) is whole
     assert best_of([limit, drift, plain], 3.0) is plain  # as good as, and simpler
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("size", "kept"), [(1.0, True), (0.85, True), (0.3, False), (2.5, False)])
+def test_held_out_logs_give_an_effect_its_size(seed, size, kept):
+    """There it is `size` times as large: the squares fall by (2 size − 1) times its power."""
+    data = drawn(seed, {}, {"x3": 2.0}, flip=size)
+    state = Model(data, ("x3",))
+    before, after = data.held_rows(Model(data), state)
+    power = float((before - after) @ (before - after))
+    taken = float(before @ before - after @ after)
+    assert taken / power == pytest.approx(2.0 * size - 1.0, abs=0.25)
+    assert contradicted(before, after) is not kept
+    entry = Entry("x3", *data.gains(Model(data), state), (), Model(data))
+    found = confirmed(data, Selection(Model(data), state, [entry]))
+    assert keys(found) == set(found.final.keys) == ({"x3"} if kept else set())
+    assert bool(found.path) is not kept
+
+
+def test_what_held_out_logs_hardly_excite_they_do_not_contradict():
+    rng = np.random.default_rng(2)
+    after = rng.standard_normal(500)
+    after[:4] = 0.0
+    moved = np.concatenate([np.full(4, 0.7), np.zeros(496)])
+    assert not contradicted(after - moved, after)  # a power of 2 and a fall of 2, the wrong way
+    assert contradicted(after - 20.0 * moved, after + 20.0 * moved)
+
+
+def test_of_two_that_are_contradicted_the_weaker_goes_and_both_are_looked_at_again():
+    """x1 seems too large on held-out rows since its copy there is another one."""
+    data = drawn(4, {"copy": lambda x, e: x["x1"] + 0.5 * e}, {"x1": 3.0})
+    data.held_x["copy"] = data.held_x["x1"] * 4.0
+    data.y = data.y + 1.2 * (data.x["copy"] - data.x["x1"])  # what happens to look like it
+    state = Model(data, ("x1", "copy"))
+    wrong = [contradicted(*data.held_rows(data.without(state, k), state)) for k in state.keys]
+    assert wrong == [True, True]
+    entries = [
+        Entry(k, *data.gains(data.without(state, k), state), (), data.without(state, k))
+        for k in state.keys
+    ]
+    assert keys(confirmed(data, Selection(Model(data), state, entries))) == {"x1"}
 
 
 def test_amplitudes_differ_from_zero_together():

@@ -12,7 +12,7 @@ SENSITIVE := $(addprefix tests/,diagnosis/test_select.py diagnosis/test_dual_evi
 # As a processor computes that has no fused and no wide instructions.
 OLDER := NUMBA_CPU_NAME=generic OPENBLAS_CORETYPE=Nehalem
 
-.PHONY: demo test test-older clean
+.PHONY: demo test test-long test-older clean
 
 demo: $(VENV)/.installed
 	$(BIN)/dmptm diagnose "$$($(BIN)/python -m dmptm_ctrl.data demo_rig)" --out demo-report
@@ -20,6 +20,9 @@ demo: $(VENV)/.installed
 
 test: $(VENV)/.installed-test
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+test-long: $(VENV)/.installed-test
+	$(BIN)/python -m pytest $(PYTEST_ARGS) -m long
 
 test-older: $(VENV)/.installed-test
 	$(OLDER) NUMBA_CACHE_DIR=$(abspath $(VENV)/numba-older) $(BIN)/python -m pytest $(PYTEST_ARGS) $(SENSITIVE)

@@ -43,7 +43,9 @@ def test_programs_parse(text):
     ast.parse(text)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/workbench.md"])
+@pytest.mark.parametrize(
+    "page", ["README.md", pytest.param("docs/workbench.md", marks=pytest.mark.long)]
+)
 def test_programs_of_the_page_run(page, tmp_path):
     """In a process of its own: figures, and files beside it."""
     text = (DOCS.parent / page).read_text("utf-8")

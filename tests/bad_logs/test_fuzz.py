@@ -34,6 +34,7 @@ def test_one_line_or_whole_files(monkeypatch, fuzzer, kind):
     check()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(6))
 def test_whole_diagnoses(monkeypatch, fuzzer, seed):
     monkeypatch.setenv("DMPTM_DEBUG", "1")

@@ -160,6 +160,7 @@ def test_cogging_of_both_motors_is_one_effect():
     assert without.fit.model.effects == without.keys == ()
 
 
+@pytest.mark.long
 def test_the_report_names_both_places():
     """One row of the budget, and the numbers of each."""
     found = diagnose_rig([*logs(np.array([0.04, 0.03j]))], RIG, jobs=2)

@@ -43,6 +43,7 @@ def geared(gap, unknown=False):
     return evidence, evidence.base(State(rough_start(RigModel(rig), logs)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("unknown", [False, True])
 def test_a_gap_before_a_load_that_nothing_measures(unknown):
     """A soft spring is the nearest thing; the gap is found beside the stiff one.

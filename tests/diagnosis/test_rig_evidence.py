@@ -96,6 +96,7 @@ def test_predictions_explain_friction_and_no_delay(rubbing):
     assert not explains(state, late)
 
 
+@pytest.mark.long
 def test_a_wrong_inertia_is_in_the_sentence():
     bench = Bench(Machine(), **SMALL)
     right = parse_rig(bench.rig(), "rig.toml")
@@ -128,6 +129,7 @@ def test_a_value_does_not_leave_its_range_for_what_an_effect_does():
     assert not found.declared_values["body.motor.coulomb"]["outside"]
 
 
+@pytest.mark.long
 def test_a_sensor_with_play_is_not_none():
     """A motor's encoder that slips by far more than the gear winds up: no spring fits."""
     machine = Machine(

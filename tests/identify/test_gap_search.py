@@ -83,6 +83,7 @@ def test_the_lowest_of_many_minima(numbers):
     np.testing.assert_array_equal(after, before)  # the user's own
 
 
+@pytest.mark.long
 def test_a_side_minimum_is_left():
     """Between bodies of one size teeth chatter: steps along slopes end near a start, beside it."""
     machine = Machine(

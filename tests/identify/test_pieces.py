@@ -111,6 +111,7 @@ def test_numbers_of_the_pieces_are_those_of_the_whole(whole):
         assert found[1][name] == pytest.approx(found[0][name], rel=0.02)
 
 
+@pytest.mark.long
 def test_a_drift_over_a_long_log_is_found(monkeypatch):
     monkeypatch.setattr("dmptm_ctrl.diagnosis.rig_diagnose.SAMPLES", 20_000)
     reported = diagnose_rig([moved(120.0)], RIG, jobs=1)

@@ -14,6 +14,8 @@ from dmptm_ctrl.reproduce import reproduce
 from dmptm_ctrl.reproduce.items import RIG_LOOP, Context
 from dmptm_ctrl.simulate.compiled import Loop
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):

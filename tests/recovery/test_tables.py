@@ -69,6 +69,7 @@ def halved(decision):
     return after < 0.5 * before
 
 
+@pytest.mark.long
 def test_motor_without_power_at_fixed_intervals():
     """Which motor, how often, for how long, and that all of its torque is lost."""
     decision, true = decided(501, (("unpowered_motor", 1.0),), "all", "eq21")
@@ -96,6 +97,7 @@ def test_both_motors_ripple_alike_each_at_its_own_angle():
     assert set(values) == {p.name for p in CATALOGUE[MOTOR].parameters}  # the report shows all
 
 
+@pytest.mark.long
 def test_an_order_of_the_ring_gear_at_one_speed():
     """A curve over the angle knows no speed, and one over the speed no angle."""
     decision, true = decided(511, (("howl", 1.0),), "load", "eq21")

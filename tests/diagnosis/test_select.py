@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, Rows, differ
-from dmptm_ctrl.diagnosis.confirmed import confirmed, contradicted
+from dmptm_ctrl.diagnosis.confirmed import confirmed, contradicted, held_size, size_text
 from dmptm_ctrl.diagnosis.select import (
     TEMPERATURE,
     Entry,
@@ -361,14 +361,19 @@ def test_held_out_logs_give_an_effect_its_size(seed, size, kept):
     data = drawn(seed, {}, {"x3": 2.0}, flip=size)
     state = Model(data, ("x3",))
     before, after = data.held_rows(Model(data), state)
-    power = float((before - after) @ (before - after))
-    taken = float(before @ before - after @ after)
-    assert taken / power == pytest.approx(2.0 * size - 1.0, abs=0.25)
+    found, error = held_size(before, after)
+    # by regression on the held-out rows: slope, and its standard error
+    x = state.values[1] * (data.held_x["x3"] - data.x["x3"].mean())
+    (slope,), *_ = np.linalg.lstsq(x[:, None], before, rcond=None)
+    assert found == pytest.approx(slope, rel=1e-9)
+    assert error == pytest.approx(np.linalg.norm(x) ** -1, rel=1e-9)
+    assert found == pytest.approx(size, abs=3.0 * error + 0.1)
     assert contradicted(before, after) is not kept
     entry = Entry("x3", *data.gains(Model(data), state), (), Model(data))
-    found = confirmed(data, Selection(Model(data), state, [entry]))
-    assert keys(found) == set(found.final.keys) == ({"x3"} if kept else set())
-    assert bool(found.path) is not kept
+    left = confirmed(data, Selection(Model(data), state, [entry]))
+    assert keys(left) == set(left.final.keys) == ({"x3"} if kept else set())
+    assert bool(left.path) is not kept
+    assert size_text(data, Model(data), state).startswith(f"on the held-out ones it is {found:.2f}")
 
 
 def test_what_held_out_logs_hardly_excite_they_do_not_contradict():
@@ -378,6 +383,8 @@ def test_what_held_out_logs_hardly_excite_they_do_not_contradict():
     moved = np.concatenate([np.full(4, 0.7), np.zeros(496)])
     assert not contradicted(after - moved, after)  # a power of 2 and a fall of 2, the wrong way
     assert contradicted(after - 20.0 * moved, after + 20.0 * moved)
+    assert held_size(after, after) == (1.0, np.inf)
+    assert not contradicted(after, after)
 
 
 def test_of_two_that_are_contradicted_the_weaker_goes_and_both_are_looked_at_again():

@@ -1,11 +1,11 @@
 """Whether held-out logs confirm the size of an effect.
 
-What an effect changes of a residual has a power S, in units of its scatter. Where the effect is
-right, the square that is left falls by S, give or take the scatter, 2 √S. An effect that stands for
-something else takes less than it promises, or more.
+What an effect changes of a residual has a power S, in units of its scatter. If the effect is a
+times as large on these logs as it was fitted, the square that is left falls by (2 a − 1) S, give
+or take the scatter, 2 √S. An effect that stands for something else has another size there.
 """
 
-from math import sqrt
+from math import inf, sqrt
 from typing import Any
 
 from dmptm_ctrl.diagnosis.candidate import FIRM, Evidence
@@ -13,21 +13,30 @@ from dmptm_ctrl.diagnosis.negligible import without_weak
 from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.simulate.model import Floats
 
-ALIKE = 2.0  # times what is promised, or one over it: at a size of 3/4 or 3/2, fitted anew
+SIZES = 0.75, 1.5  # where the squares fall by half and by twice the power
+VAGUE = 0.5  # standard error of a size that says nothing
 
 
-def contradicted(before: Floats, after: Floats) -> bool:
-    """Whether an effect takes clearly less, or more, than it promises.
+def held_size(before: Floats, after: Floats) -> tuple[float, float]:
+    """Return how large an effect is, in units of its fitted size, and the standard error.
 
     Parameters
     ----------
     before, after : (m,) arrays
         Residual without and with it, in units of the scatter with it, of independent rows.
     """
-    promised = float((before - after) @ (before - after))
-    taken = float(before @ before - after @ after)
-    far = max(promised / ALIKE - taken, taken - ALIKE * promised)
-    return far > FIRM * 2.0 * sqrt(promised)
+    power = float((before - after) @ (before - after))
+    if power == 0.0:
+        return 1.0, inf
+    fall = float(before @ before - after @ after)
+    return 0.5 * (1.0 + fall / power), 1.0 / sqrt(power)
+
+
+def contradicted(before: Floats, after: Floats) -> bool:
+    """Whether an effect is clearly smaller, or larger, than it was fitted."""
+    size, error = held_size(before, after)
+    least, most = SIZES
+    return max(least - size, size - most) > FIRM * error
 
 
 def confirmed(evidence: Evidence, selection: Selection) -> Selection:
@@ -35,8 +44,14 @@ def confirmed(evidence: Evidence, selection: Selection) -> Selection:
 
     def worth(without: Any, final: Any) -> float:
         wrong = contradicted(*evidence.held_rows(without, final))
-        return sum(evidence.gains(without, final)) if wrong else float("inf")
+        return sum(evidence.gains(without, final)) if wrong else inf
 
-    return without_weak(
-        evidence, selection, worth, float("inf"), "held-out logs contradict its size"
-    )
+    return without_weak(evidence, selection, worth, inf, "held-out logs contradict its size")
+
+
+def size_text(evidence: Evidence, without: Any, final: Any) -> str:
+    """Return what held-out logs say of an effect's size."""
+    size, error = held_size(*evidence.held_rows(without, final))
+    if error > VAGUE:
+        return "held-out logs hardly show its size"
+    return f"on the held-out ones it is {size:.2f} ± {error:.1g} times as large as fitted"

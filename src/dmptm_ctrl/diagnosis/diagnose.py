@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from dmptm_ctrl.contract import MOTOR_ENCODERS
 from dmptm_ctrl.diagnosis.budget import verdict_of
-from dmptm_ctrl.diagnosis.confirmed import confirmed
+from dmptm_ctrl.diagnosis.confirmed import confirmed, size_text
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState
 from dmptm_ctrl.diagnosis.dual_budget import assess, rise
 from dmptm_ctrl.diagnosis.dual_report import (
@@ -67,8 +67,12 @@ def diagnose_dual(
         after = with_chatter(measured.fit, best.base, declared, jobs)
         assessed = assess(measured, evidence, selection, (before, after), tables, rest, jobs)
         final = on_all_logs(measured, best, after, declared, jobs)
+        last = selection.final
         effects = [
-            replace(named(e, final, assessed.share_of(e.key)), together=e.key in assessed.together)
+            replace(
+                named(e, final, assessed.share_of(e.key), size_text(evidence, e.without, last)),
+                together=e.key in assessed.together,
+            )
             for e in selection.entries
         ]
         effects += [

@@ -117,8 +117,8 @@ class DualSource:
             yield Picture("gaps", title, gaps, alt, READ_GAPS, plain=True)
 
 
-def named(entry: Entry, after: Fit, share: float) -> NamedEffect:
-    """Describe a selected effect with the values of the final fit."""
+def named(entry: Entry, after: Fit, share: float, size: str) -> NamedEffect:
+    """Describe a selected effect with the values of the final fit; `size` is of held-out logs."""
     effect = CATALOGUE[name_of(entry.key)]
     parameters, absent = {}, effect.absent()
     for p in effect.parameters:
@@ -129,7 +129,7 @@ def named(entry: Entry, after: Fit, share: float) -> NamedEffect:
         parameters[p.name] = estimate(value, se, p.unit)
     sentence = (
         f"Without it −2 log-likelihood rises by {entry.gain:.0f} on the fitted logs and "
-        f"{entry.held_gain:.0f} on the held-out ones, the rest refitted"
+        f"{entry.held_gain:.0f} on the held-out ones, the rest refitted; {size}"
     )
     if entry.rivals:
         second = entry.rivals[0]

@@ -16,6 +16,7 @@ from dmptm_ctrl.diagnosis.budget import (
     verdict_of,
 )
 from dmptm_ctrl.diagnosis.candidate import FIRM, LEVEL, members, name_of
+from dmptm_ctrl.diagnosis.confirmed import size_text
 from dmptm_ctrl.diagnosis.experiment import rig_experiment
 from dmptm_ctrl.diagnosis.negligible import material_together
 from dmptm_ctrl.diagnosis.ranking import ranking_of
@@ -168,15 +169,16 @@ def report_of(
     healed = max(errors.before - whole(base.held_left[0]), 0.0)
     costs = [healed / len(faults) for _ in faults]
     slower = [runs.rise(after.without({f.placed.key})) for f in faults]
-    size = max(errors.removable, 1e-300)
+    removable = max(errors.removable, 1e-300)
 
     def lacks(state: RigState) -> float:
-        return (whole(state.held_left[0]) - errors.after) / size
+        return (whole(state.held_left[0]) - errors.after) / removable
 
     together = material_together(evidence, selection, lacks)
     for entry in selection.entries:
         without = whole(entry.without.held_left[0])
-        named = _named(entry, final.fit, errors.after, without)
+        size = size_text(evidence, entry.without, final)
+        named = _named(entry, final.fit, errors.after, without, size)
         found.append(replace(named, together=entry.key in together))
         costs.append(max(without - errors.after, 0.0))
         bare = entry.without.held_state
@@ -184,7 +186,7 @@ def report_of(
             bare = State(bare.model.with_effect(fault.placed), bare.logs)
         slower.append(runs.rise(bare))
     order = sorted(range(len(found)), key=lambda k: -costs[k])
-    effects = tuple(replace(found[k], share=min(costs[k] / size, 1.0)) for k in order)
+    effects = tuple(replace(found[k], share=min(costs[k] / removable, 1.0)) for k in order)
     strong = (c.variable for c in curves if c.evidence > 0.5 * curves[0].evidence)
     variables = tuple(dict.fromkeys(strong))[:2]
     nearest = (best.variable,) if best else ()
@@ -232,8 +234,8 @@ def report_of(
     )
 
 
-def _named(entry: Entry, fit: RigFit, after: float, without: float) -> NamedEffect:
-    """Describe a selected effect with the values of the final fit."""
+def _named(entry: Entry, fit: RigFit, after: float, without: float, size: str) -> NamedEffect:
+    """Describe a selected effect with the values of the final fit; `size` is of held-out logs."""
     name, _, places = entry.key.partition("@")
     parameters: dict[str, Any] = {}
     for key in members(entry.key):
@@ -251,7 +253,7 @@ def _named(entry: Entry, fit: RigFit, after: float, without: float) -> NamedEffe
         f"Without it, −2 log-likelihood rises by {entry.gain:.0f} on the fitted and "
         f"{entry.held_gain:.0f} on the held-out logs (at least {LEVEL:.0f} are needed), and the "
         f"error of the balance from {sqrt(after):.3g} to {sqrt(without):.3g} "
-        f"{torque_unit(fit.model.rig)}.",
+        f"{torque_unit(fit.model.rig)}; {size}.",
     )
 
 

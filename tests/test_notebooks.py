@@ -11,7 +11,7 @@ FOLDER = Path(__file__).parents[1] / "notebooks"
 # The last one compiles a simulator of its own: first, or one worker waits for it at the end.
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"), reverse=True)
 QUICK = [
-    pytest.param(file, marks=[] if file.stem[:2] in ("00", "01") else pytest.mark.long)
+    pytest.param(file, marks=[] if file.stem[:2] == "00" else pytest.mark.long)
     for file in NOTEBOOKS
 ]
 INLINE = "module://matplotlib_inline.backend_inline"

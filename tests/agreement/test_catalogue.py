@@ -67,6 +67,7 @@ def test_compiled_is_the_reference(visible, paper, lively):
     assert np.max(rms(exact, plain) / scale) > 100 * np.max(error)
 
 
+@pytest.mark.long
 def test_all_effects_together_are_second_order(paper, lively, visible_values):
     """Every site at once, in the order in which the runners chain them."""
     model = paper

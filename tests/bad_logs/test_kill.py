@@ -126,6 +126,7 @@ def killed(folder, out, *, event=None, seconds=None):
     return process.exitcode == -signal.SIGKILL
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="no fork of a process with threads")
 def test_killed_at_drawn_moments(folder, whole):
     expected, states, seconds = whole

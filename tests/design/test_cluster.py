@@ -66,6 +66,7 @@ def kill_one_at_work(client, folder, victim_state):
     )
 
 
+@pytest.mark.long
 def test_a_worker_is_killed_in_the_middle(client, tmp_path):
     drive, plants = Model(), CHUNKS * CHUNK
     here = monte_carlo(drive, LOOP, plants, aims=AIMS)

@@ -55,6 +55,7 @@ def full():
     )  # fmt: skip
 
 
+@pytest.mark.long
 def test_each_part_pays_on_the_machine(full):
     """The model is off by 5 %: all of it takes off more than two fifths, and each part some."""
     plain = Controller(KP, KI, **PLAIN, model=model_of(()))

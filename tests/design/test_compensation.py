@@ -24,6 +24,7 @@ FULL = Controller(
 REFERENCE = np.concatenate([np.zeros(400), sine(12 * DEG, 0.7, 2)])
 
 
+@pytest.mark.long
 def test_each_part_against_one_run_of_the_plain_simulator():
     """The drawn plant is the model itself; the loop is run again without lanes and threads."""
     aims = Aims(duty=Duty(REFERENCE, 1e-3, SETTLING), noise=0.0)

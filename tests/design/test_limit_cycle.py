@@ -102,6 +102,7 @@ def predicted_is_simulated(gap, dry, kp, ki):
     assert not found.confirmed
 
 
+@pytest.mark.long
 def test_cycle_that_only_the_simulator_finds_is_balanced_and_confirmed(monkeypatch):
     """Two bounces on one flank, one on the other; no start of the balance's own leads there."""
     monkeypatch.setattr(limit_cycle, "HZ", limit_cycle.HZ[::3])

@@ -38,6 +38,7 @@ def tuned():
     return tune_controller(MODEL, AIMS, uncertainty=0.5, plants=24, jobs=1)
 
 
+@pytest.mark.long
 def test_tuning_is_better_over_the_plants_and_stays_in_the_margins(tuned):
     errors = {row["stage"]: row["rmse_quantile"] for row in tuned.stages}
     assert errors["optimised"] < 0.3 * errors["PI, linear design"]
@@ -55,6 +56,7 @@ def test_tuning_is_better_over_the_plants_and_stays_in_the_margins(tuned):
     assert volts.max() < Aims().limit
 
 
+@pytest.mark.long
 def test_strong_cogging_leaves_a_linear_start():
     """At one angle it pushes away, and no PI keeps the margins; over a turn it is a disturbance."""
     model = Model().with_effect("cogging", left_sine=-0.04, right_sine=-0.04, order=27.0)
@@ -189,6 +191,7 @@ def test_preload_against_the_balance_of_a_turn():
     assert load_torque_along(Model(), duty)[-1] == pytest.approx(by_hand, rel=1e-4)
 
 
+@pytest.mark.long
 def test_command(tmp_path, capsys, monkeypatch, tuned):
     asked = {}
 

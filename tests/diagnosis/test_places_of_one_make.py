@@ -137,6 +137,7 @@ def test_signs_and_phases_are_each_ones_own():
     assert model.effects[1].values["cosine"] == 0.1
 
 
+@pytest.mark.long
 def test_cogging_of_both_motors_is_one_effect():
     """Amplitudes and phases of each, by another program's law."""
     cogging = np.array([0.04 - 0.02j, -0.01 - 0.05j])  # C cos + S sin is Re (C - iS) e^(i 6 θ)

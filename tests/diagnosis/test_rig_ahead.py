@@ -157,6 +157,7 @@ def test_noise_hides_breakaway_from_the_balance_and_not_from_runs(seed):
     assert wrong[1] < wrong[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("damping", [0.05, 0.3])
 def test_a_spring_rings_by_its_damping(damping):
     u = 0.1 * signal(1, 20.0, 2.0)

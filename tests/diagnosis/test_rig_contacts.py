@@ -61,6 +61,7 @@ def test_a_gap_before_a_load_that_nothing_measures(unknown):
     assert not [*_no_gap(fit.model)]
 
 
+@pytest.mark.long
 def test_a_weight_behind_a_gear_is_found_by_the_motor_alone():
     """A wave of one turn of the load; at the motor it would be a spring, over this travel."""
     machine = Machine(
@@ -87,6 +88,7 @@ def test_a_weight_behind_a_gear_is_found_by_the_motor_alone():
     assert abs(effect.parameters["sine"]["value"]) == pytest.approx(weight, rel=0.05)
 
 
+@pytest.mark.long
 def test_no_gap_before_a_load_that_nothing_measures():
     evidence, base = geared(0.0)
     assert base.fit.values["link.coupling.stiffness"] == pytest.approx(0.4, rel=0.05)

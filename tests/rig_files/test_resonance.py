@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+import pytest
 from scipy.signal import lsim
 
 from dmptm_ctrl import diagnose
@@ -58,6 +59,7 @@ def table(seed):
     return pd.DataFrame({"t": T, "u": u, "m": q[:, 0], "s": q[:, 1]})
 
 
+@pytest.mark.long
 def test_a_resonance_is_no_other_scale():
     """Motor and slide swing against each other: of one rigid drive that is another inertia."""
     tables = [table(seed) for seed in (0, 1)]

@@ -78,6 +78,7 @@ def test_pitch_errors_meet_their_teeth_smoothly():
         assert slope == pytest.approx((high - low) / 2e-6, abs=1e-4)
 
 
+@pytest.mark.long
 def test_pitch_errors_show_in_the_transmission_error():
     """A pinion ahead by an error turns the ring gear on by the error over the ratio."""
     record = bare()

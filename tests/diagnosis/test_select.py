@@ -373,7 +373,8 @@ def test_held_out_logs_give_an_effect_its_size(seed, size, kept):
     left = confirmed(data, Selection(Model(data), state, [entry]))
     assert keys(left) == set(left.final.keys) == ({"x3"} if kept else set())
     assert bool(left.path) is not kept
-    assert size_text(data, Model(data), state).startswith(f"on the held-out ones it is {found:.2f}")
+    text = size_text(data, Model(data), state)
+    assert text.startswith(f"on held-out logs the effect is {found:.2f} ± ")
 
 
 def test_what_held_out_logs_hardly_excite_they_do_not_contradict():

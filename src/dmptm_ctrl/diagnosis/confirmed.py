@@ -54,4 +54,4 @@ def size_text(evidence: Evidence, without: Any, final: Any) -> str:
     size, error = held_size(*evidence.held_rows(without, final))
     if error > VAGUE:
         return "held-out logs hardly show its size"
-    return f"on the held-out ones it is {size:.2f} ± {error:.1g} times as large as fitted"
+    return f"on held-out logs the effect is {size:.2f} ± {error:.1g} times as large as fitted"

@@ -21,6 +21,7 @@ demo: $(VENV)/.installed
 test: $(VENV)/.installed-test
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
 
+# Notebooks, the paper's figures, long logs: what need not run each time.
 test-long: $(VENV)/.installed-test
 	$(BIN)/python -m pytest $(PYTEST_ARGS) -m long
 

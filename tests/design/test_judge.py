@@ -150,6 +150,7 @@ def test_bounds_hold_as_often_as_they_say():
     assert 0.93 < inside / runs < 0.995
 
 
+@pytest.mark.long
 def test_monte_carlo_resumes_and_does_not_depend_on_jobs(tmp_path):
     aims = Aims(duty=SHORT)
     others = [LATE]

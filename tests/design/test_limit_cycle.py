@@ -79,6 +79,7 @@ def simulated(model, kp, ki):
     return hz, np.sqrt(2) * speed.std(), np.ptp(z) / 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("gap", "dry", "kp", "ki"),
     [

@@ -47,6 +47,7 @@ def by_hand(speed, rate, load_angle, motor_angle):
     return motor / 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sensor", ["speed", "angle"])
 def test_feed_forward_by_hand(sensor):
     """Of the load's speed, and of the motor's, which turns five times as fast."""

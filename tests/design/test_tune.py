@@ -69,6 +69,7 @@ def test_strong_cogging_leaves_a_linear_start():
     assert np.isfinite(found.errors).all()
 
 
+@pytest.mark.long
 def test_a_notch_pays_on_the_papers_drive():
     """Behind it the loop is four times as stiff; without it these gains hammer."""
     model, aims, share = Model(), Aims(), 0.63  # of the linear design's crossover

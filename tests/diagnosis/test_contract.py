@@ -166,6 +166,7 @@ def test_files_and_keys(written, found):
     assert set(found["depends_on"]) <= VARIABLES
 
 
+@pytest.mark.long
 def test_threads_change_nothing(found):
     """One set of logs has one verdict, to the bit, on any number of threads."""
     logs = dmptm_ctrl.load_logs([DEMO / f"{name}.csv.gz" for name in sorted(SHORT)])

@@ -403,6 +403,21 @@ def test_of_two_that_are_contradicted_the_weaker_goes_and_both_are_looked_at_aga
     assert keys(confirmed(data, Selection(Model(data), state, entries))) == {"x1"}
 
 
+def test_an_effect_is_looked_at_again_when_another_has_gone():
+    class Told(Linear):
+        def held_rows(self, smaller, larger):
+            wrong = {("x1", "x2", "x3"): "x2", ("x1", "x3"): "x1", ("x3",): ""}[larger.keys]
+            (gone,) = {*larger.keys} - {*smaller.keys}
+            return np.full(HELD, -1.0 if gone == wrong else 6.0), np.ones(HELD)
+
+    data = drawn(1, {}, {"x1": 1.0, "x2": 2.0, "x3": 3.0})
+    data.__class__ = Told
+    state = Model(data, ("x1", "x2", "x3"))
+    parts = [(k, data.without(state, k)) for k in state.keys]
+    entries = [Entry(k, *data.gains(one, state), (), one) for k, one in parts]
+    assert keys(confirmed(data, Selection(Model(data), state, entries))) == {"x3"}
+
+
 def test_amplitudes_differ_from_zero_together():
     """The sum of two is identified, their difference is not: chi-squared by its closed form."""
     reported, vague = 1.0, 1e4

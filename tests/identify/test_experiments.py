@@ -30,11 +30,13 @@ def misses():
     return campaign(range(SEEDS))
 
 
+@pytest.mark.long
 def test_recovered_within_two_standard_errors_in_95_percent(misses):
     every = np.abs([z for family in misses.values() for zs in family.values() for z in zs])
     assert np.mean(every < 2) >= 0.95, f"{np.mean(every < 2):.1%} of {every.size} estimates"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["steady", "shaken", "flights"])
 def test_standard_errors_are_neither_short_nor_padded(misses, name):
     families = list(misses[name].values())
@@ -44,6 +46,7 @@ def test_standard_errors_are_neither_short_nor_padded(misses, name):
     assert np.mean(every**2) < chi2.ppf(0.999, SEEDS) / SEEDS
 
 
+@pytest.mark.long
 def test_breakaway_lies_within_its_lateness(misses):
     """Its error is no scatter but where in the lateness the motion began: at most √3 se."""
     every = np.concatenate(list(misses["breakaway"].values()))

@@ -100,6 +100,7 @@ def test_scan_is_the_regression(cogging):
         assert gain == pytest.approx(exact, rel=0.15, abs=2.0)
 
 
+@pytest.mark.long
 def test_names_it_without_motor_encoders(cogging):
     left, label = cogging
     reported = label["effect_parameters"]["cogging"]

@@ -104,6 +104,7 @@ def existing(campaign):
     return logs, fit_to_logs(baseline_drive(), logs, RIG_LOOP)
 
 
+@pytest.mark.long
 def test_existing_model_is_at_its_best(existing):
     """No parameter of the baseline can be moved to fit 4 % better; rattle makes it that rough."""
     logs, fitted = existing
@@ -115,6 +116,7 @@ def test_existing_model_is_at_its_best(existing):
             assert misfit(moved, logs, RIG_LOOP) > 0.96 * best, (name, factor)
 
 
+@pytest.mark.long
 def test_viscous_friction_stands_in_for_dry_friction(existing):
     """The premise of a fair baseline: its friction has left Table 2's, inside its range."""
     _, fitted = existing

@@ -112,6 +112,7 @@ def test_usual_cogging_has_its_size_and_no_mean():
     assert np.sqrt(np.mean(torque**2)) == pytest.approx(25 * 5e-3)
 
 
+@pytest.mark.long
 def test_loop_lag_is_one_of_first_order_beside_the_other():
     """Voltage after a time constant of a step: 1 - 1/e of it."""
     p = bare()[0]

@@ -40,13 +40,19 @@ def contradicted(before: Floats, after: Floats) -> bool:
 
 
 def confirmed(evidence: Evidence, selection: Selection) -> Selection:
-    """Take out effects that held-out logs contradict, those of least evidence first."""
+    """Take out effects that held-out logs contradict, those of least evidence first.
+
+    Until they contradict none of those that are left.
+    """
 
     def worth(without: Any, final: Any) -> float:
         wrong = contradicted(*evidence.held_rows(without, final))
         return sum(evidence.gains(without, final)) if wrong else inf
 
-    return without_weak(evidence, selection, worth, inf, "held-out logs contradict its size")
+    why = "held-out logs contradict its size"
+    while (kept := without_weak(evidence, selection, worth, inf, why)) is not selection:
+        selection = kept
+    return selection
 
 
 def size_text(evidence: Evidence, without: Any, final: Any) -> str:

@@ -10,10 +10,6 @@ from nbclient import NotebookClient
 FOLDER = Path(__file__).parents[1] / "notebooks"
 # The last one compiles a simulator of its own: first, or one worker waits for it at the end.
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"), reverse=True)
-QUICK = [
-    pytest.param(file, marks=[] if file.stem[:2] == "00" else pytest.mark.long)
-    for file in NOTEBOOKS
-]
 INLINE = "module://matplotlib_inline.backend_inline"
 TIMEOUT = 300  # s per cell, on a busy machine
 
@@ -24,7 +20,8 @@ def test_there_are_notebooks():
     assert len(NOTEBOOKS) >= 3
 
 
-@pytest.mark.parametrize("file", QUICK, ids=lambda p: p.stem)
+@pytest.mark.long
+@pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda p: p.stem)
 def test_runs(file, tmp_path):
     notebook = nbformat.read(file, as_version=4)
     client = NotebookClient(notebook, timeout=TIMEOUT, resources={"metadata": {"path": tmp_path}})

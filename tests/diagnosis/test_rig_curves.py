@@ -120,6 +120,7 @@ def test_picture_of_what_comes_again_each_turn_is_over_one_turn():
     assert 2.0 * np.mean(odd * np.cos(angle)) == pytest.approx(0.02, rel=0.2)
 
 
+@pytest.mark.long
 def test_picture_of_a_wave_is_over_one_of_its_periods():
     """Cogging of 7 per turn over many turns: each bin of a turn would hold a part of a wave."""
     bench = Bench(Machine(fc=0.02, cog=0.01, order=7.0), (("multisine", 5.0),), 20.0, 1e-3)

@@ -74,6 +74,7 @@ def test_pieces_of_a_thinned_log_hold_its_samples(axis):
         np.testing.assert_array_equal(piece.sent["torque"], whole[: piece.sent["torque"].size])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lead", [0.0, 5.0])
 def test_models_beside_each_other_read_what_each_does_alone(lead):
     rig = load_rig(Path(dmptm_ctrl.__file__).parent / "data/paper_3dof.toml")

@@ -123,6 +123,7 @@ def test_loop_lag_is_one_of_first_order_beside_the_other():
     assert y[CURRENT] == pytest.approx(1 - np.exp(-1), rel=1e-8)
 
 
+@pytest.mark.long
 def test_the_gyro_is_a_low_pass():
     """Against 1/(1 + jf/80) at frequencies that the motion has."""
     record = bare()

@@ -89,7 +89,7 @@ class Linear:
     def errors(self, smaller, larger):
         return 0.0, 0.0  # of rows whose scatter is known
 
-    def held_rows(self, smaller, larger):
+    def held_residuals(self, smaller, larger):
         return smaller.held_missed, larger.held_missed
 
     def ratio(self, state):
@@ -360,7 +360,7 @@ def test_held_out_logs_give_an_effect_its_size(seed, size, kept):
     """There it is `size` times as large: the squares fall by (2 size − 1) times its power."""
     data = drawn(seed, {}, {"x3": 2.0}, flip=size)
     state = Model(data, ("x3",))
-    before, after = data.held_rows(Model(data), state)
+    before, after = data.held_residuals(Model(data), state)
     found, error = held_size(before, after)
     # by regression on the held-out rows: slope, and its standard error
     x = state.values[1] * (data.held_x["x3"] - data.x["x3"].mean())
@@ -394,7 +394,7 @@ def test_of_two_that_are_contradicted_the_weaker_goes_and_both_are_looked_at_aga
     data.held_x["copy"] = data.held_x["x1"] * 4.0
     data.y = data.y + 1.2 * (data.x["copy"] - data.x["x1"])  # what happens to look like it
     state = Model(data, ("x1", "copy"))
-    wrong = [contradicted(*data.held_rows(data.without(state, k), state)) for k in state.keys]
+    wrong = [contradicted(*data.held_residuals(data.without(state, k), state)) for k in state.keys]
     assert wrong == [True, True]
     entries = [
         Entry(k, *data.gains(data.without(state, k), state), (), data.without(state, k))
@@ -405,13 +405,13 @@ def test_of_two_that_are_contradicted_the_weaker_goes_and_both_are_looked_at_aga
 
 def test_an_effect_is_looked_at_again_when_another_has_gone():
     class Told(Linear):
-        def held_rows(self, smaller, larger):
+        def held_residuals(self, smaller, larger):
             wrong = {("x1", "x2", "x3"): "x2", ("x1", "x3"): "x1", ("x3",): ""}[larger.keys]
             (gone,) = {*larger.keys} - {*smaller.keys}
             return np.full(HELD, -1.0 if gone == wrong else 6.0), np.ones(HELD)
 
-    data = drawn(1, {}, {"x1": 1.0, "x2": 2.0, "x3": 3.0})
-    data.__class__ = Told
+    made = drawn(1, {}, {"x1": 1.0, "x2": 2.0, "x3": 3.0})
+    data = Told(made.x, made.y, made.held_x, made.held_y)
     state = Model(data, ("x1", "x2", "x3"))
     parts = [(k, data.without(state, k)) for k in state.keys]
     entries = [Entry(k, *data.gains(one, state), (), one) for k, one in parts]

@@ -159,7 +159,7 @@ class Evidence(Protocol):
     def errors(self, smaller: Any, larger: Any) -> tuple[float, float]:
         """Standard errors of these falls."""
 
-    def held_rows(self, smaller: Any, larger: Any) -> tuple[Floats, Floats]:
+    def held_residuals(self, smaller: Any, larger: Any) -> tuple[Floats, Floats]:
         """What both leave of held-out logs, in units of the larger's scatter, (m,) each."""
 
     def ratio(self, state: Any) -> float:

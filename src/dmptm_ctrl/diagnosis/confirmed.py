@@ -46,7 +46,7 @@ def confirmed(evidence: Evidence, selection: Selection) -> Selection:
     """
 
     def worth(without: Any, final: Any) -> float:
-        wrong = contradicted(*evidence.held_rows(without, final))
+        wrong = contradicted(*evidence.held_residuals(without, final))
         return sum(evidence.gains(without, final)) if wrong else inf
 
     why = "held-out logs contradict its size"
@@ -57,7 +57,7 @@ def confirmed(evidence: Evidence, selection: Selection) -> Selection:
 
 def size_text(evidence: Evidence, without: Any, final: Any) -> str:
     """Return what held-out logs say of an effect's size."""
-    size, error = held_size(*evidence.held_rows(without, final))
+    size, error = held_size(*evidence.held_residuals(without, final))
     if error > VAGUE:
         return "held-out logs hardly show its size"
     return f"on held-out logs the effect is {size:.2f} ± {error:.1g} times as large as fitted"

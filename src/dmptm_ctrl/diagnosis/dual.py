@@ -53,6 +53,11 @@ def fall(smaller: Scores, larger: Scores) -> float:
     return float(np.sum(change)) + smaller.prior - larger.prior
 
 
+def root_shares(parts: Sequence[Floats], of: Scores) -> Floats:
+    """Square root of the share of each row of all equations that is independent, (m,)."""
+    return np.sqrt(np.repeat(1.0 / of.lengths, [part.size for part in parts]))
+
+
 def key_of(name: str) -> str:
     """Return ``name@place`` of an effect of the dual-motor drive."""
     return f"{name}@{CATALOGUE[name].location}"
@@ -112,8 +117,7 @@ class DualState:
     @cached_property
     def independence(self) -> Floats:
         """Square root of the share of each row of the fitted logs that is independent."""
-        sizes = [part.size for part in self.left.base.parts]
-        return np.sqrt(np.repeat(1.0 / self.fitted.lengths, sizes))
+        return root_shares(self.left.base.parts, self.fitted)
 
     def independent(self, rows: Floats) -> Floats:
         """Weighted rows, (m,) or (m, k), in units in which an independent one counts one."""
@@ -183,10 +187,9 @@ class DualEvidence:
             standard_error(smaller.held_rows, larger.held_rows, larger.held.lengths),
         )
 
-    def held_rows(self, smaller: DualState, larger: DualState) -> tuple[Floats, Floats]:
+    def held_residuals(self, smaller: DualState, larger: DualState) -> tuple[Floats, Floats]:
         left, kinds = larger.held_missing, larger.left.held.kinds
-        lengths = np.repeat(larger.held.lengths, [part.size for part in left])
-        each = weights(left, kinds) / np.sqrt(lengths)
+        each = weights(left, kinds) * root_shares(left, larger.held)
         return each * np.concatenate(smaller.held_missing), each * np.concatenate(left)
 
     def ratio(self, state: DualState) -> float:

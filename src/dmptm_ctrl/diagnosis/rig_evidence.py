@@ -272,7 +272,7 @@ class RigEvidence:
             of(larger.held, smaller.held_left[0], larger.held_left[0]),
         )
 
-    def held_rows(self, smaller: RigState, larger: RigState) -> tuple[Floats, Floats]:
+    def held_residuals(self, smaller: RigState, larger: RigState) -> tuple[Floats, Floats]:
         held, left = larger.fit.likelihood.on(larger.held), larger.held_left[0]
         weights = held.weights(left)
         return weights * held.stack(smaller.held_left[0]), weights * held.stack(left)

@@ -51,6 +51,10 @@ def integrate(u, dt, fine, p, state, drift):
         teeth,
         tight,
         uneven,
+        spot,
+        place,
+        half,
+        form,
     ) = p
     n = u.size
     out = np.empty((n, 4))
@@ -73,6 +77,9 @@ def integrate(u, dt, fine, p, state, drift):
         # LuGre: dz = v − |v| z / (g/σ0), F = σ0 z + σ1 dz
         way = 1.0 + asym if v1 > 0.0 else 1.0 - asym
         g = drift * way * (fc + (fs - fc) * np.exp(-abs(v1) / vs) + pos * np.cos(q1))
+        if spot > 0.0:
+            away = abs((q1 - place + np.pi) % (2.0 * np.pi) - np.pi) / half
+            g += drift * way * spot * np.exp(-0.5 * away**form)
         f1 = 0.0
         if g > 0.0:
             stiff = g / bristle
@@ -153,6 +160,10 @@ class Machine:
     teeth: float = 20.0
     tight: float = 0.0  # rad, change of half the gap around the gear
     uneven: float = 0.0  # share of the stiffness, once per tooth
+    spot: float = 0.0  # N m of friction at a place of the turn
+    place: float = 1.0
+    half: float = 0.5
+    form: float = 2.0  # a bump; the larger, the sharper its edges
 
     def row(self):
         values = {**self.__dict__}

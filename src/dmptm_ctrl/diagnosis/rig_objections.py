@@ -13,6 +13,7 @@ from dmptm_ctrl.diagnosis.candidate import (
     members,
     name_of,
 )
+from dmptm_ctrl.diagnosis.other_forms import other_form
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.measured_motion import NOISE_SHARE
 from dmptm_ctrl.identify.rig_fit import RigFit
@@ -58,6 +59,7 @@ def objection(key: str, fit: RigFit, before: RigFit) -> str:
         or _by_the_drive(effect, fit)
         or _unseen(effect, fit, before)
         or _collapsed(fit, before)
+        or other_form(effect, before)
     )
 
 

@@ -1,6 +1,6 @@
 """What effects change of the balances of a rig, and shapes at which they explain most."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -52,25 +52,51 @@ def unit_columns(
     entry, body = PLACED_CATALOGUE[shape.name], shape.on
     if entry.place == "link":
         return _mesh_columns(fit, balance, shape, names)
-    model = fit.model
-    reach = untwisted(model.plant())[model.layout.coordinate[body]]
-    r = model.layout.ratio[body]
-    parts = []
-    for motion in balance.motions:
-        theta, omega = motion_of(balance, motion, model, body)
+
+    def torques(motion: Motion, theta: Floats, omega: Floats) -> Floats:
         load = np.zeros_like(theta)  # what goes with it is tried at a finite size
-        slow = motion.rest_share * np.abs(omega).max(initial=0.0)
         columns = []
         for name in names:
             acting = [acting_of(_sized(shape, name, 1.0))]
             if entry.site == "friction":
-                _, out = friction_along(acting, theta, omega, motion.time, load)
-                out = -np.sign(omega) * out * (np.abs(omega) > slow)
+                _, added = friction_along(acting, theta, omega, motion.time, load)
+                columns.append(_against(added, omega, motion))
             else:
-                out = torque_along(acting, load, theta, omega, motion.time)
-            share = unfolded(shape, omega, motion)
-            columns.append(motion.reduce(reach * r * share * out))
-        parts.append(_in_equations(fit, balance, body, np.array(columns).T))
+                columns.append(torque_along(acting, load, theta, omega, motion.time))
+        return np.asarray(unfolded(shape, omega, motion) * np.array(columns))
+
+    return _body_columns(fit, balance, body, torques)
+
+
+def friction_columns(
+    fit: RigFit, balance: Balance, body: str, level: Callable[[Floats], Floats]
+) -> list[Floats]:
+    """The same by the amplitude of friction that depends on the angle by `level` alone."""
+    return _body_columns(
+        fit, balance, body, lambda m, theta, omega: _against(level(theta), omega, m)[None]
+    )
+
+
+def _against(friction: Floats, omega: Floats, motion: Motion) -> Floats:
+    """Torque of a friction while a body moves, (n,)."""
+    slow = motion.rest_share * np.abs(omega).max(initial=0.0)
+    return np.asarray(-np.sign(omega) * friction * (np.abs(omega) > slow))
+
+
+def _body_columns(
+    fit: RigFit,
+    balance: Balance,
+    body: str,
+    torques: Callable[[Motion, Floats, Floats], Floats],
+) -> list[Floats]:
+    """Change of the residual by torques on a body, (p, n) of its angle and speed per log."""
+    model = fit.model
+    by = untwisted(model.plant())[model.layout.coordinate[body]] * model.layout.ratio[body]
+    parts = []
+    for motion in balance.motions:
+        theta, omega = motion_of(balance, motion, model, body)
+        column = motion.reduce(by * torques(motion, theta, omega)).T
+        parts.append(_in_equations(fit, balance, body, column))
     return parts
 
 

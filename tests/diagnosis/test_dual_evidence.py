@@ -12,6 +12,7 @@ from scipy.stats import t as student
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 from dmptm_ctrl import load_log
+from dmptm_ctrl.diagnosis.candidate import WEAKER
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, key_of
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
@@ -35,13 +36,19 @@ LAWS = {"friction": "karnopp", "contact": "eq21", "sensors": "all"}
 COUNT = 40_000
 
 
-def selected(effects):
-    """Selection on short logs of a rig, and the rig's label."""
+def declared(effects):
+    """Evidence of short logs of a rig, the declared drive fitted to them, and the rig's label."""
     rig = make_rig(3, effects, logs=LOGS, **LAWS)
     logs = [load_log(table, name=name) for name, table in rig.logs.items()]
     measured = measure(logs, paper_drive())
     base = DualState(residual(measured, Model(paper_drive()), jobs=1))
-    return select_effects(DualEvidence(measured, (), 1), base), rig.label
+    return DualEvidence(measured, (), 1), base, rig.label
+
+
+def selected(effects):
+    """Selection on short logs of a rig, and the rig's label."""
+    evidence, base, label = declared(effects)
+    return select_effects(evidence, base), label
 
 
 def test_two_effects_are_named_with_their_sizes():
@@ -64,6 +71,20 @@ def test_nothing_is_named_where_nothing_lacks():
     found, _ = selected(())
     assert found.entries == []
     assert found.final is found.base
+
+
+def test_what_is_not_fitted_could_not_be_chosen():
+    """Beside the declared drive, where everything that is missing looks like many effects."""
+    evidence, base, _ = declared((("thermal_drift", 3.0),))
+    found = {c.keys[0]: c for c in evidence.candidates(base)}
+    rough = [key for key, c in found.items() if c.error == 0.0]
+    assert any(found[key].objection == WEAKER for key in rough)
+    assert not any(found[key].acceptable for key in rough)
+    best = max(c.evidence for c in found.values() if c.acceptable)
+    every = evidence.candidates(base, [*found])
+    assert len(every) == len(found)
+    assert max(c.evidence for c in every if c.acceptable) == pytest.approx(best, rel=1e-6)
+    assert all(c.evidence < best for c in every if c.keys[0] in rough)
 
 
 def noise(seed, pole=0.0):

@@ -1,4 +1,4 @@
-"""The engine's own exp, sin and cos against the library's in extended precision."""
+"""The engine's own exp, log, power, sin and cos against the library's in extended precision."""
 
 import math
 
@@ -14,6 +14,16 @@ UNIT = np.finfo(float).eps
 @njit
 def exps(x):
     return np.array([elementary.exp(v) for v in x])
+
+
+@njit
+def logs(x):
+    return np.array([elementary.log(v) for v in x])
+
+
+@njit
+def powers(x, exponent):
+    return np.array([elementary.power(v, exponent) for v in x])
 
 
 @njit
@@ -36,6 +46,24 @@ def test_exp_to_two_units(size):
     x = arguments(size)
     exact = np.exp(x.astype(np.longdouble))
     assert np.max(np.abs(exps(x) / exact - 1.0)) < 2 * UNIT
+
+
+@pytest.mark.parametrize("decades", [1e-6, 0.3, 3.0, 300.0])
+def test_log_to_two_units(decades):
+    x = 10.0 ** np.random.default_rng(6).uniform(-decades, decades, 100_000)
+    exact = np.log(x.astype(np.longdouble))
+    assert np.max(np.abs(logs(x) - exact) / np.maximum(np.abs(exact), UNIT)) < 2 * UNIT
+
+
+@pytest.mark.parametrize("exponent", [0.5, 1.0, 1.7, 3.0])
+def test_power_by_its_logarithm(exponent):
+    """An error of the logarithm counts as many times as the result has units of it."""
+    x = np.append(10.0 ** np.random.default_rng(7).uniform(-12.0, 12.0, 100_000), 1.0)
+    exact = x.astype(np.longdouble) ** exponent
+    units = 2.0 + 2.0 * np.abs(np.log(exact.astype(float)))
+    assert np.all(np.abs(powers(x, exponent) / exact - 1.0) < units * UNIT)
+    nothing = powers(np.array([0.0, -0.0]), exponent)
+    assert np.all((nothing >= 0.0) & (nothing < 1e-150))
 
 
 @pytest.mark.parametrize("size", [1e-3, 1.0, 100.0, 1e6, 1e8])

@@ -100,7 +100,7 @@ def _of_dual(model: Model, logs: Sequence[Log], jobs: int) -> Evidence:
         unknowns += [k for k in effect_unknowns(name) if k.name in sizes]
     parts = balance.missing(model)
     left = np.concatenate(parts)
-    derivatives = dual_columns(balance, model, unknowns, left)
+    derivatives = dual_columns(balance, model, unknowns)
     prior = np.array([k.prior for k in unknowns])
     kinds = balance.kinds
     weight = _settled(left, derivatives, prior, lambda rest: weights(split(rest, parts), kinds))

@@ -49,6 +49,7 @@ def differ(amplitudes: Floats, covariance: Floats) -> bool:
     return bool(square > chi2.isf(2.0 * norm.sf(FIRM), amplitudes.size))
 
 
+WEAKER = "others explain more"
 NO_DIFFERENCE = f"its amplitudes together do not differ from zero by {FIRM:.0f} standard errors"
 
 

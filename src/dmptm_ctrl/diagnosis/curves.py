@@ -238,22 +238,25 @@ def curves(left: Residual) -> list[Curve]:
     w = base.weights
     held_parts = left.held.missing(base.model)
     known = np.concatenate(held_parts)
-    held_jac = columns(left.held, base.model, base.unknowns, known)
+    held_jac = columns(left.held, base.model, base.unknowns)
     prior = np.array([1.0 / k.prior**2 if np.isfinite(k.prior) else 1e-6 for k in base.unknowns])
     own = w[:, None] * base.jacobian
-    used = freedom(own.T @ own, prior)
+    square, slopes = own.T @ own, own.T @ (w * base.missing)
+    used = freedom(square, prior)
 
     def curve_of(both_of: tuple[Group, Group]) -> Curve:
         group, held = both_of
         g = np.concatenate(group.parts)
-        both = np.hstack([base.jacobian, g])
-        weighted = w[:, None] * both
+        weighted = w[:, None] * g
+        crossed = own.T @ weighted
         ridge = np.concatenate([prior, np.full(g.shape[1], RIDGE**-2)])
         pull = np.concatenate([prior * base.p, np.zeros(g.shape[1])])
-        normal = weighted.T @ weighted
-        step = np.linalg.solve(normal + np.diag(ridge), -(weighted.T @ (w * base.missing)) - pull)
-        moved = split(base.missing + both @ step, base.parts)
-        there = known + np.hstack([held_jac, np.concatenate(held.parts)]) @ step
+        normal = np.block([[square, crossed], [crossed.T, weighted.T @ weighted]])
+        slope = np.concatenate([slopes, weighted.T @ (w * base.missing)])
+        step = np.linalg.solve(normal + np.diag(ridge), -slope - pull)
+        drive, knots = step[: len(square)], step[len(square) :]
+        moved = split(base.missing + base.jacobian @ drive + g @ knots, base.parts)
+        there = known + held_jac @ drive + np.concatenate(held.parts) @ knots
         gain = fall(base.parts, moved, base.kinds)
         held_gain = fall(held_parts, split(there, held_parts), left.held.kinds)
         price = 2.0 * (freedom(normal, ridge) - used)

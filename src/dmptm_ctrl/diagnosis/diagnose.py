@@ -21,7 +21,7 @@ from dmptm_ctrl.diagnosis.impact_chatter import with_chatter
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.report import Diagnosis, provenance
-from dmptm_ctrl.diagnosis.residual import Residual, closed, of_windows, predicting_fit, residual
+from dmptm_ctrl.diagnosis.residual import Residual, balances, of_windows, predicting_fit, residual
 from dmptm_ctrl.diagnosis.screen import screen
 from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.diagnosis.sensors import cross_check, sensor_effect, with_sensors
@@ -112,10 +112,9 @@ def diagnose_dual(
 def on_all_logs(measured: Measured, left: Residual, after: Fit, declared: Drive, jobs: int) -> Fit:
     """Refit the selected model on all logs: its held-out error is known, now it predicts best."""
     everything = (*measured.fit, *(r for r in measured.held if r not in measured.fit))
-    base = left.base
     try:
-        balance, done = closed(everything, base.model, Model(measured.drive), base.unknowns, jobs)
-        done = predicting_fit(replace(balance, observer_driven=True), done)
+        balance = balances(everything, left.base.model, Model(measured.drive), jobs)
     except LogError:  # no window may be left where the fitted model decides which pinions touch
         return after
+    done = predicting_fit(replace(balance, observer_driven=True), left.base)
     return with_chatter(everything, done, declared, jobs)

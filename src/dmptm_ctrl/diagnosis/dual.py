@@ -10,6 +10,7 @@ import numpy as np
 from dmptm_ctrl.diagnosis.candidate import (
     LEVEL,
     NO_DIFFERENCE,
+    WEAKER,
     Candidate,
     Keys,
     Rows,
@@ -19,12 +20,26 @@ from dmptm_ctrl.diagnosis.candidate import (
 )
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.residual import Residual, predicting_fit, residual
-from dmptm_ctrl.diagnosis.trace import Trace, Trial, effect_columns, trace, try_effect, unknowns_of
+from dmptm_ctrl.diagnosis.select import NEAR, evidence_per_gain
+from dmptm_ctrl.diagnosis.trace import (
+    FINALISTS,
+    SEARCHES,
+    Start,
+    Trace,
+    Trial,
+    begun,
+    candidates,
+    effect_columns,
+    finished,
+    try_effect,
+    unknowns_of,
+)
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import (
     BalanceFit,
     correlation_lengths,
     fit_balance,
+    robust_fit,
     row_surprises,
     settled_fit,
     surprises,
@@ -142,31 +157,68 @@ class DualEvidence:
     jobs: int = 2
 
     def candidates(self, state: DualState, only: Sequence[str] | None = None) -> list[Candidate]:
-        names = None if only is None else [name_of(key) for key in only]
-        # beside the declared model all are fitted: the report says what each could have been
-        least = LEVEL / 2.0 if state.keys and only is None else 0.0
-        found = trace(state.left, self.skip, names, least)
-        return [self._candidate(state, (t,)) for t in found]
+        view = state.trace
+        names = candidates(view, self.skip)
+        if only is not None:
+            named = {name_of(key) for key in only}
+            found = self._tried(begun(view, [n for n in names if n in named]))
+            return [self._candidate(state, (t,)) for t in finished(view, found)]
+        starts = begun(view, names)
+        searching = [CATALOGUE[name].search in SEARCHES for name in names]  # they take longest
+        gains = in_threads(
+            lambda k: starts[k].gain, range(len(names)), self.jobs, lambda k: searching[k]
+        )
+        # beside the declared model all stay: the report says what each could have been
+        least = LEVEL / 2.0 if state.keys else 0.0
+        order = [k for k in np.argsort(gains)[::-1] if gains[k] >= least]
+        first = int(np.isinf(gains).sum()) + FINALISTS
+        found = self._tried([starts[k] for k in order[:first]])
+        able = [self._candidate(state, (t,)) for t in found]
+        # none is chosen that was not fitted, and few could be
+        best = max((c.evidence for c in able if c.acceptable), default=LEVEL + NEAR)
+        most = evidence_per_gain(self.ratio(state))
+        could = [k for k in order[first:] if most * gains[k] >= best - NEAR]
+        found += self._tried([starts[k] for k in could])
+        rest = [k for k in order[first:] if k not in could]
+        return [
+            *(self._candidate(state, (t,)) for t in finished(view, found)),
+            *(self._rough(starts[k]) for k in rest),
+        ]
+
+    def _tried(self, starts: Sequence[Start]) -> list[Trial]:
+        """Fit effects; what takes longest begins first."""
+        return in_threads(try_effect, starts, self.jobs, lambda one: len(one.models))
 
     def beyond(self, state: DualState, names: Sequence[str]) -> list[Candidate]:
         """Fit effects beside a model that short predictions count for."""
 
-        def one(name: str) -> Trial | None:
-            return try_effect(state.trace, name, LEVEL / 2.0)
+        def one(start: Start) -> Trial | None:
+            return try_effect(start) if start.gain >= LEVEL / 2.0 else None
 
-        found = in_threads(one, names, self.jobs)
+        found = in_threads(one, begun(state.trace, names), self.jobs)
         return [self._candidate(state, (t,)) for t in found if t is not None]
 
+    def _rough(self, start: Start) -> Candidate:
+        """Return an effect that others leave too little for, to first order."""
+        trial = start.rough
+        objection = WEAKER if trial.gain > LEVEL else ""
+        return replace(self._plain((trial,)), gain=trial.gain, objection=objection)
+
     def _candidate(self, state: DualState, trials: tuple[Trial, ...]) -> Candidate:
-        keys = tuple(key_of(t.name) for t in trials)
         why = next(filter(None, (objection(t.fit, t.name) for t in trials)), "")
-        numbers = sum(len(unknowns_of(t.name)) for t in trials)
-        order = sum(list(CATALOGUE).index(t.name) for t in trials)
-        one = Candidate(keys, 0.0, 0.0, trials, why, numbers, order)
+        one = replace(self._plain(trials), objection=why)
         there = self.beside(state, one)
         gain, held = self.gains(state, there)
         error, held_error = self.errors(state, there)
         return replace(one, gain=gain, held_gain=held, error=error, held_error=held_error)
+
+    @staticmethod
+    def _plain(trials: tuple[Trial, ...]) -> Candidate:
+        """Return a candidate before it is tested."""
+        keys = tuple(key_of(t.name) for t in trials)
+        numbers = sum(len(unknowns_of(t.name)) for t in trials)
+        order = sum(list(CATALOGUE).index(t.name) for t in trials)
+        return Candidate(keys, 0.0, 0.0, trials, "", numbers, order)
 
     def beside(self, state: DualState, candidate: Candidate) -> DualState:
         left = replace(state.left, base=candidate.fitted[0].fit)
@@ -238,7 +290,7 @@ class DualEvidence:
         kept = [j for j, k in enumerate(base.unknowns) if k.effect != name]
         unknowns = tuple(base.unknowns[j] for j in kept)
         model, derivatives = base.model.without([name]), base.jacobian[:, kept]
-        fitted = fit_balance if state.left.balance.observer_driven else settled_fit
+        fitted = fit_balance if state.left.balance.observer_driven else robust_fit
         fit = fitted(state.left.balance, model, unknowns, jacobian=derivatives)
         left = replace(state.left, base=fit)
         return DualState(left, tuple(k for k in state.keys if k != key))

@@ -82,16 +82,14 @@ def predicting(left: Residual) -> Residual:
 
 def predicting_fit(balance: Balance, base: BalanceFit) -> BalanceFit:
     """Fit to balances and short predictions, derivatives taken anew a few times: runs cost most."""
-    best: BalanceFit | None = None
-    model, unknowns = base.model, base.unknowns
+    best, unknowns = base, base.unknowns
+    value = loss(balance.missing(base.model), balance.kinds, unknowns, base.p)
     for _ in range(ROUNDS):
-        derivatives = columns(balance, model, unknowns, np.concatenate(balance.missing(model)))
-        done = fit_balance(balance, model, unknowns, jacobian=derivatives)
-        gain = np.inf if best is None else best.loss - done.loss
-        best, model = done, done.model
+        derivatives = columns(balance, best.model, unknowns)
+        best = fit_balance(balance, best.model, unknowns, jacobian=derivatives)
+        gain, value = value - best.loss, best.loss
         if gain < SETTLED:
             break
-    assert best is not None
     return replace(best, covariance=_covariance(best))
 
 
@@ -124,10 +122,11 @@ def of_windows(left: Residual) -> Residual:
     balance, held = (replace(one, observer_driven=False) for one in (left.balance, left.held))
     model, unknowns = left.base.model, left.base.unknowns
     parts = balance.missing(model)
-    derivatives = columns(balance, model, unknowns, np.concatenate(parts))
+    derivatives = columns(balance, model, unknowns)
     shown = seen(weights(parts, balance.kinds)[:, None] * derivatives, unknowns)
     free = tuple(k for k, one in zip(unknowns, shown, strict=True) if one)
-    return replace(left, balance=balance, held=held, base=fit_balance(balance, model, free))
+    base = fit_balance(balance, model, free, jacobian=derivatives[:, shown])
+    return replace(left, balance=balance, held=held, base=base)
 
 
 def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: int) -> Balance:

@@ -9,6 +9,7 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.candidate import (
     LEVEL,
+    WEAKER,
     Candidate,
     Keys,
     Rows,
@@ -119,7 +120,7 @@ class RigEvidence:
         for trial in steps[1:]:
             if most * trial.gain < best() - NEAR:
                 weaker = self._plain((trial,), state.fit)
-                rough.append(replace(weaker, gain=trial.gain, objection="others explain more"))
+                rough.append(replace(weaker, gain=trial.gain, objection=WEAKER))
                 continue
             one = self._first_order(state, trial)
             if one.acceptable and one.evidence >= best():

@@ -165,9 +165,7 @@ def waves(left: Residual) -> dict[str, float]:
     turn = {"variable": TURN, "low": 0.0, "high": 2.0 * np.pi, "period": LONGEST}
     entered = [entered_into(left.base.model, MOTOR, {**turn, "motors": m}) for m in (LEFT, RIGHT)]
     nothing = left.balance.missing(entered[0][0])
-    linear = np.hstack(
-        [columns(left.balance, m, knots, np.concatenate(nothing)) for m, knots in entered]
-    )
+    linear = np.hstack([columns(left.balance, m, knots) for m, knots in entered])
     each = linear_fit(left, nothing, linear).reshape(2, KNOTS)[:, :-1]  # the last is the first
     spectrum = np.fft.rfft(each)[:, 1:]
     most = int(np.argmax(np.sum(np.abs(spectrum) ** 2, axis=0)))
@@ -279,7 +277,7 @@ def tabled(left: Residual, shapes: Mapping[str, Mapping[str, float]]) -> Balance
         model, own = entered_into(model, name, shape)
         knots += own
     parts = left.balance.missing(model)
-    linear = columns(left.balance, model, knots, np.concatenate(parts))  # linear in its knots
+    linear = columns(left.balance, model, knots)  # linear in its knots
     jacobian = np.hstack([base.jacobian, linear])
     # what stands far out pulls a robust fit no longer: begin where the squares are least, too
     low, high = ([getattr(k, end) for k in knots] for end in ("low", "high"))

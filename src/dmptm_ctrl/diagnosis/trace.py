@@ -5,7 +5,7 @@ best of its bank of shapes; what it lowers the loss by is its evidence.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
@@ -22,11 +22,12 @@ from dmptm_ctrl.identify.balance import (
     Balance,
     BalanceFit,
     columns,
+    covariance_of,
     fit_balance,
     split,
     surprise,
 )
-from dmptm_ctrl.identify.fit import Unknown, effect_unknowns
+from dmptm_ctrl.identify.fit import Unknown, effect_unknowns, position
 from dmptm_ctrl.identify.ripple import order_gains
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -79,7 +80,7 @@ class Trace:
             [1.0 / k.prior if np.isfinite(k.prior) else 1e-3 for k in self.base.unknowns]
         )
         self.derivatives = np.vstack([w[:, None] * self.base.jacobian, self.prior])
-        self.basis, _ = np.linalg.qr(self.derivatives)
+        self.basis, self.triangle = np.linalg.qr(self.derivatives)
         self.rows = self.prior.shape[0]
         self.target = self.project(-w * self.base.missing)
         self.whole = np.concatenate([w * self.base.missing, self.prior @ self.base.p])
@@ -128,8 +129,13 @@ class Trace:
 
     def bounded_gain(self, columns: Floats) -> float:
         """Fall of the weighted square by columns (m, k), the drive's parameters in their ranges."""
-        tall = np.pad(columns, [(0, self.rows), (0, 0)])
-        return JointGain(Rows(self.whole, self.derivatives, *self.room, {(): tall})).bounded(((),))
+        tall = np.column_stack([np.pad(columns, [(0, self.rows), (0, 0)]), self.whole])
+        # turned so that the derivatives are few rows, and what they leave of the others few more
+        shared = self.basis.T @ tall
+        left = np.linalg.qr(tall - self.basis @ shared, mode="r")
+        own, turned = np.pad(self.triangle, [(0, len(left)), (0, 0)]), np.vstack([shared, left])
+        rows = Rows(turned[:, -1], own, *self.room, {(): turned[:, :-1]})
+        return JointGain(rows).bounded(((),))
 
 
 def effect_columns(trace: Trace, effect: Effect, shapes: Mapping[str, float]) -> Floats:
@@ -309,23 +315,69 @@ def unknowns_of(name: str) -> tuple[Unknown, ...]:
     return tuple(k for k in effect_unknowns(name) if k.name not in fixed)
 
 
-def try_effect(trace: Trace, name: str, least: float) -> Trial | None:
-    """Fit an effect from its best starts; None where it explains too little to first order."""
-    effect = CATALOGUE[name]
-    if effect.fast:
-        trace = trace.fast
-    begun = starts(trace, effect)
-    if least > 0.0 and not bent(name):
-        shapes = [{k: v for k, v in one.items() if k in effect.shapes} for one in begun]
-        if max(trace.bounded_gain(effect_columns(trace, effect, one)) for one in shapes) < least:
-            return None
-    models = [trace.base.model.with_effect(name, **values) for values in begun]
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where fits of an effect beside a model begin."""
+
+    trace: Trace
+    name: str
+
+    @cached_property
+    def models(self) -> list[Model]:
+        """The model with the effect as it may be."""
+        values = starts(self.trace, CATALOGUE[self.name])
+        return [self.trace.base.model.with_effect(self.name, **one) for one in values]
+
+    @cached_property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """What is fitted."""
+        return (*self.trace.base.unknowns, *unknowns_of(self.name))
+
+    @cached_property
+    def _slopes(self) -> list[Floats]:
+        own = unknowns_of(self.name)
+        return [columns(self.trace.balance, model, own) for model in self.models]
+
+    @cached_property
+    def _gains(self) -> list[float]:
+        weights = self.trace.base.weights[:, None]
+        return [self.trace.bounded_gain(weights * one) for one in self._slopes]
+
+    @property
+    def gain(self) -> float:
+        """Fall of the weighted square to first order; infinite where that says little."""
+        return np.inf if bent(self.name) else max(self._gains)
+
+    @property
+    def rough(self) -> "Trial":
+        """The best start, nothing fitted."""
+        base, k = self.trace.base, int(np.argmax(self._gains))
+        jacobian = np.hstack([base.jacobian, self._slopes[k]])
+        there = replace(
+            base,
+            model=self.models[k],
+            unknowns=self.unknowns,
+            p=position(self.models[k], self.unknowns),
+            covariance=covariance_of(base.weights[:, None] * jacobian, self.unknowns),
+            jacobian=jacobian,
+        )
+        return Trial(self.name, self._gains[k], 0.0, there)
+
+
+def begun(trace: Trace, names: Iterable[str]) -> list[Start]:
+    """Return the starts of effects."""
+    return [Start(trace.fast if CATALOGUE[name].fast else trace, name) for name in names]
+
+
+def try_effect(start: Start) -> Trial:
+    """Fit an effect from its best starts."""
+    trace, models = start.trace, start.models
     if trace.balance.observer_driven:  # runs cost most: from the best start alone
         parts = trace.balance.missing_of(models)
         models = [models[int(np.argmin([surprise(one, trace.base.kinds) for one in parts]))]]
-    unknowns, jacobian = (*trace.base.unknowns, *unknowns_of(name)), trace.base.jacobian
-    fits = [fit_balance(trace.balance, model, unknowns, jacobian=jacobian) for model in models]
-    return tried(trace, name, min(fits, key=lambda f: f.loss))
+    own, jacobian = start.unknowns, trace.base.jacobian
+    fits = [fit_balance(trace.balance, model, own, jacobian=jacobian) for model in models]
+    return tried(trace, start.name, min(fits, key=lambda f: f.loss))
 
 
 def tried(trace: Trace, name: str, done: BalanceFit) -> Trial:
@@ -339,7 +391,7 @@ def settled(trace: Trace, trial: Trial) -> Trial:
     if CATALOGUE[trial.name].fast:
         trace = trace.fast
     own = trace.base.unknowns
-    there = columns(trace.balance, trial.fit.model, own, trial.fit.missing)
+    there = columns(trace.balance, trial.fit.model, own)
     again = fit_balance(trace.balance, trial.fit.model, trial.fit.unknowns, jacobian=there)
     return tried(trace, trial.name, again) if again.loss < trial.fit.loss else trial
 
@@ -354,21 +406,8 @@ def candidates(trace: Trace, skip: Iterable[str], *, everything: bool = False) -
     return [name for name, e in CATALOGUE.items() if name not in out and e.seen_by in seen]
 
 
-def trace(
-    left: Residual, skip: Iterable[str] = (), only: Sequence[str] | None = None, least: float = 0.0
-) -> list[Trial]:
-    """Fit testable effects, all or some, beside the model of `left`; most evidence first.
-
-    Those that explain less than `least` to first order are left out.
-    """
-    trace = Trace(left)
-    names = candidates(trace, skip)
-    if only is not None:
-        names = [name for name in names if name in only]
-    # what takes longest begins first
-    names.sort(key=lambda name: CATALOGUE[name].search not in SEARCHES)
-    tries = in_threads(lambda name: try_effect(trace, name, least), names, trace.balance.jobs)
-    done = [t for t in tries if t is not None]
-    done.sort(key=lambda t: -t.evidence)
+def finished(trace: Trace, done: Sequence[Trial]) -> list[Trial]:
+    """Fit those of most evidence to the end; most evidence first."""
+    done = sorted(done, key=lambda t: -t.evidence)
     done[:FINALISTS] = [settled(trace, t) if t.gain > WORTH else t for t in done[:FINALISTS]]
     return sorted(done, key=lambda t: -t.evidence)

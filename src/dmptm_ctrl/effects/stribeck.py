@@ -8,7 +8,7 @@ Source: paper Eq. 25; at rest the balance is of the net torque on the body, not 
 motor's (erratum).
 """
 
-from math import exp
+from math import exp, pow
 from typing import NamedTuple
 
 from numba import njit
@@ -85,5 +85,5 @@ def sliding_torque(omega, direction, p):
         speed = 0.0
     ratio = speed * steepness
     if p.exponent != 1.0:
-        ratio = ratio**p.exponent
+        ratio = pow(ratio, p.exponent)
     return (coulomb + viscous * speed) + (static - coulomb) * exp(-ratio)

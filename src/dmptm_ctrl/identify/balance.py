@@ -13,14 +13,15 @@ Source: paper Eqs. 16 to 18, 21, 25.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.compared_signals import correlation_length
-from dmptm_ctrl.identify.fit import Fit, Unknown, bounded_step, place, position, secant
+from dmptm_ctrl.identify.fit import Fit, Normal, Unknown, place, placed, position, secant
 from dmptm_ctrl.identify.heavy_tails import FREEDOM, robust_scale
+from dmptm_ctrl.identify.measured_motion import recent
 from dmptm_ctrl.identify.motion import GYRO_NOISE, Motion
 from dmptm_ctrl.identify.observer_driven import ObserverRun
 from dmptm_ctrl.identify.ripple import Ripple
@@ -39,6 +40,7 @@ ITERATIONS = 8
 # Share and damping of a step, tried in turn: along a bent valley only a damped step is downhill.
 STEPS = ((1.0, 0.0), (0.5, 0.0), (1.0, 0.01), (1.0, 0.1), (1.0, 1.0), (1.0, 10.0))
 STALLED = 0.5  # fall of the loss that ends the iterations
+RECENT = 16  # models whose missing torques are kept
 # Share of the windows that are independent: they overlap by half, and the wobble of a pinion
 # on its flank lasts for several. Not read off the misfit, which a missing effect correlates.
 # Samples of the fast part are white. How much blocks of short predictions count is measured by
@@ -158,12 +160,18 @@ class Balance:
 
     def missing(self, model: Model) -> list[Floats]:
         """Missing torque per equation, on the windows that count."""
-        parts = self._of_windows(model)
-        return (
-            [*parts, *(one.missing(model) for one in self.observer_runs)]
-            if self.observer_driven
-            else parts
-        )
+        make = partial(self._missing, model)
+        parts: list[Floats] = recent(self.known, id(model), make, RECENT)[1]
+        return parts
+
+    @cached_property
+    def known(self) -> dict[int, tuple[Model, list[Floats]]]:
+        """Missing torques of the last models, kept with them."""
+        return {}
+
+    def _missing(self, model: Model) -> tuple[Model, list[Floats]]:
+        runs = self.observer_runs if self.observer_driven else []
+        return model, [*self._of_windows(model), *(one.missing(model) for one in runs)]
 
     def _of_windows(self, model: Model) -> list[Floats]:
         tables = [w.missing(model.over(w.seconds)) for w in self.windowed]
@@ -299,18 +307,18 @@ def role(unknown: Unknown) -> str:
     return "shape" if unknown.name in CATALOGUE[unknown.effect].shapes else "amplitude"
 
 
-def columns(balance: Balance, model: Model, unknowns: Sequence[Unknown], e0: Floats) -> Floats:
+def columns(balance: Balance, model: Model, unknowns: Sequence[Unknown]) -> Floats:
     """Derivatives of the missing torques by differences, (m, k)."""
     p0 = position(model, unknowns)
     if not unknowns:
-        return np.empty((e0.size, 0))
+        return np.empty((sum(map(len, balance.missing(model))), 0))
     steps = np.array([PROBES[role(k)] for k in unknowns])
     steps[p0 + steps > [k.high for k in unknowns]] *= -1.0
     moved = [place(model, unknowns, p) for p in p0 + np.diag(steps)]
     # runs that go together round alike: their differences are taken from one of them
     first = [model] if balance.observer_driven else []
     rows = np.array([np.concatenate(parts) for parts in balance.missing_of([*first, *moved])])
-    changed = rows[1:] - rows[0] if first else rows - e0
+    changed = rows[1:] - rows[0] if first else rows - np.concatenate(balance.missing(model))
     return np.asarray((changed / steps[:, None]).T)
 
 
@@ -335,7 +343,7 @@ def fit_balance(
     low = np.array([k.low for k in unknowns])
     high = np.array([k.high for k in unknowns])
     p = np.clip(position(model, unknowns), low, high)
-    model = place(model, unknowns, p)
+    model = placed(model, unknowns, p)
     kinds = balance.kinds
     parts = balance.missing(model)
     value = loss(parts, kinds, unknowns, p, freedom)
@@ -343,16 +351,15 @@ def fit_balance(
     own = unknowns[kept.shape[1] :]
 
     def derivatives() -> Floats:
-        return np.hstack([kept, columns(balance, model, own, np.concatenate(parts))])
+        return np.hstack([kept, columns(balance, model, own)])
 
     jac, fresh = derivatives(), True
     for _ in range(ITERATIONS):
         e, p0 = np.concatenate(parts), p
         w = weights(parts, kinds, freedom)
-        gain = 0.0
+        normal, gain = Normal.of(w * e, -w[:, None] * jac, p, unknowns), 0.0
         for shrink, damping in STEPS:
-            step = bounded_step(w * e, -w[:, None] * jac, p, unknowns, damping)
-            trial = np.clip(p + shrink * step, low, high)
+            trial = np.clip(p + shrink * normal.step(damping), low, high)
             moved = place(model, unknowns, trial)
             tried = balance.missing(moved)
             cost = loss(tried, kinds, unknowns, trial, freedom)
@@ -379,17 +386,22 @@ def covariance_of(rows: Floats, unknowns: Sequence[Unknown]) -> Floats:
     return np.asarray(np.linalg.inv(rows.T @ rows + np.diag(prior)), np.float64)
 
 
-def settled_fit(
+def robust_fit(
     balance: Balance, model: Model, unknowns: Sequence[Unknown], jacobian: Floats
 ) -> BalanceFit:
-    """Fit to the end, from here and from where outliers count in full; return the better.
+    """Fit from here, and from where outliers count in full; return the better.
 
     A robust loss has several minima: windows that one effect cannot follow pass for outliers.
-    Both ways share derivatives `jacobian` (m, k), which change little; the end is fitted with its
-    own.
+    Both ways share derivatives `jacobian` (m, k), which change little.
     """
     here = fit_balance(balance, model, unknowns, jacobian=jacobian)
     whole = fit_balance(balance, model, unknowns, jacobian=jacobian, freedom=GAUSSIAN)
     there = fit_balance(balance, whole.model, unknowns, jacobian=jacobian)
-    best = min(here, there, key=lambda one: one.loss)
-    return fit_balance(balance, best.model, unknowns)
+    return min(here, there, key=lambda one: one.loss)
+
+
+def settled_fit(
+    balance: Balance, model: Model, unknowns: Sequence[Unknown], jacobian: Floats
+) -> BalanceFit:
+    """Fit to the end, with derivatives taken there."""
+    return fit_balance(balance, robust_fit(balance, model, unknowns, jacobian).model, unknowns)

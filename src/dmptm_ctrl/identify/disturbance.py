@@ -1,13 +1,14 @@
 """What the effects of a dual-motor drive do along a measured motion."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from dmptm_ctrl.identify.measured_motion import recent
 from dmptm_ctrl.simulate.along import (
     Acting,
     acting_in,
@@ -25,7 +26,7 @@ from dmptm_ctrl.simulate.plant import Floats, Plant
 
 # Friction that takes a tenth of the torque is met to a ten-thousandth of it by the third.
 PASSES = 3
-RECENT = 4  # rows of friction kept
+RECENT = 24  # rows kept
 Rows = list[Floats | None]  # None: nothing acts there
 Places = dict[tuple[str, int], list[Acting]]
 
@@ -60,6 +61,7 @@ class Course:
 
     def __post_init__(self) -> None:
         self.sliding = lru_cache(RECENT)(self._sliding)
+        self.known: dict[Any, Any] = {}
 
     @cached_property
     def parts(self) -> list[slice]:
@@ -70,6 +72,11 @@ class Course:
     def direction(self) -> Floats:
         """Sign of the speed, (n,)."""
         return np.sign(self.speed)
+
+    def kept(self, key: Any, make: Callable[[], Floats | None]) -> Floats | None:
+        """Row of what a key says it depends on: fits ask for it while they move other numbers."""
+        row: Floats | None = recent(self.known, key, make, RECENT)
+        return row
 
     def _sliding(self, lever: float, law: bytes) -> Floats:
         """Magnitude of a law's friction at a multiple of the ring gear's speed, (n,) [N·m]."""
@@ -117,23 +124,42 @@ def disturbance(way: Course, plant: Plant, load: Floats | None = None) -> Distur
     ring, turning = (way.ring, way.speed), n2 * way.speed
     carried = nothing = np.zeros(way.speed.size)
     for side in (0, 1):
-        pinion = way.motors[side] / n1, turning
-        torque[side] = pull[side] = driven(way, effects, plant, side)
+        pinion, ratios = (way.motors[side] / n1, turning), (n1, n2)
+        parts = ("amplifier", side), ("lag", side), ("motor", MOTORS[side])
+        drive = side, ratios, plant.input_values[side].tobytes(), numbers_of(effects, *parts)
+        torque[side] = pull[side] = way.kept(drive, partial(driven, way, effects, plant, side))
         rubs = effects.get(("friction", side))
         if rubs:
             law = n2, plant.law[side].tobytes()
             passes, mesh = (0, nothing) if load is None else (PASSES, load[side])
-            torque[side], mesh = braked(rubs, way, pinion, law, pull[side], mesh, passes)
+            given = (ratios, *numbers_of(effects, ("friction", side))) if load is None else ()
+            torque[side], mesh = braked(rubs, way, pinion, law, pull[side], mesh, passes, given)
             carried = carried + np.abs(mesh)
         if teeth := effects.get(("mesh", side)):
-            moved, wider = shift_along(teeth, pinion, ring)
-            shift[side] = moved - way.flank[side] * wider
+            key = side, ratios, numbers_of(effects, ("mesh", side))
+            shift[side] = way.kept(key, partial(moved_by, teeth, way, side, pinion))
     if pushes := effects.get(("load", RING)):
-        torque[RING] = torque_along(pushes, nothing, *ring, way.time)
+        push = partial(torque_along, pushes, nothing, *ring, way.time)
+        torque[RING] = way.kept(numbers_of(effects, ("load", RING)), push)
     if rubs := effects.get(("friction", RING)):
         law = 1.0, plant.law[RING].tobytes()
-        torque[RING], _ = braked(rubs, way, ring, law, torque[RING], carried)
+        given = numbers_of(effects, ("friction", RING)) if load is None else ()
+        torque[RING], _ = braked(rubs, way, ring, law, torque[RING], carried, given=given)
     return rows
+
+
+def numbers_of(effects: Places, *parts: tuple[str, int]) -> tuple[Any, ...]:
+    """What effects at some parts do, as a key."""
+    acting = [(part, one) for part in parts for one in effects.get(part, ())]
+    return tuple((part, id(one.effect), one.values.tobytes()) for part, one in acting)
+
+
+def moved_by(
+    teeth: Sequence[Acting], way: Course, side: int, pinion: tuple[Floats, Floats]
+) -> Floats:
+    """Shift of z of one side by effects on its mesh."""
+    moved, wider = shift_along(teeth, pinion, (way.ring, way.speed))
+    return np.asarray(moved - way.flank[side] * wider)
 
 
 def driven(way: Course, effects: Places, plant: Plant, side: int) -> Floats | None:
@@ -163,23 +189,41 @@ def braked(
     push: Floats | None,
     load: Floats,
     passes: int = 0,
+    given: tuple[Any, ...] = (),
 ) -> tuple[Floats | None, Floats]:
     """Torque that friction other than the declared leaves of a push, and what the body carries.
 
-    `law` is of the body: its speed per speed of the ring gear, and the declared friction.
+    `law` is of the body: its speed per speed of the ring gear, and the declared friction; `given`
+    what else it depends on where that is not the load, or nothing.
     """
     left, carries = push, load
     for again in range(passes + 1):
         if again and left is not None:
             carries = load + left
-        factor, added = friction_along(effects, *moves, way.time, carries)
-        if (factor != 1.0).any():
-            added *= factor
-            factor -= 1.0
-            factor *= way.sliding(*law)
-            added += factor
-        elif not again and not added.any():
+        rub = partial(rubbed, effects, way, moves, law, carries)
+        added = way.kept((given, law), rub) if given else rub()
+        if added is not None:
+            left = -added if push is None else push - added
+        elif not again:
             return push, load if push is None or not passes else load + push
-        added *= way.direction
-        left = -added if push is None else push - added
     return left, carries
+
+
+def rubbed(
+    effects: Sequence[Acting],
+    way: Course,
+    moves: tuple[Floats, Floats],
+    law: tuple[float, bytes],
+    load: Floats,
+) -> Floats | None:
+    """Friction beside the declared one, with the sign of the motion, or none."""
+    factor, added = friction_along(effects, *moves, way.time, load)
+    if (factor != 1.0).any():
+        added *= factor
+        factor -= 1.0
+        factor *= way.sliding(*law)
+        added += factor
+    elif not added.any():
+        return None
+    added *= way.direction
+    return added

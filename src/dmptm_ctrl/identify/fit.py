@@ -6,6 +6,7 @@ The numbers are the free parameters of the drive, each scaled so that its declar
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -97,6 +98,13 @@ def place(model: Model, unknowns: Sequence[Unknown], p: Floats) -> Model:
     return Model(model.drive.with_values(**drive), effects)
 
 
+def placed(model: Model, unknowns: Sequence[Unknown], p: Floats) -> Model:
+    """Return the model itself where it has these values, or else one that does."""
+    known = all(k.effect is None or k.name in model.effects.get(k.effect, ()) for k in unknowns)
+    there = known and np.array_equal(p, position(model, unknowns))
+    return model if there else place(model, unknowns, p)
+
+
 def position(model: Model, unknowns: Sequence[Unknown]) -> Floats:
     """Return `p` for the values that the model has."""
     return np.array([(k.of(model) - k.centre) / k.scale for k in unknowns])
@@ -122,17 +130,31 @@ class Fit:
         raise KeyError(f"{name} of {effect or 'the drive'} was not fitted")
 
 
-def bounded_step(
-    r: Floats, jac: Floats, p: Floats, unknowns: Sequence[Unknown], damping: float
-) -> Floats:
-    """Return the bounded step δ of min ‖r − J δ‖² + ‖(p + δ)/prior‖² + damping ‖δ‖²_diag."""
-    precision = np.diag([1.0 / k.prior**2 for k in unknowns])
-    # A weak pull keeps effects' parameters that the data say nothing about where they are.
-    normal = jac.T @ jac + precision + 1e-6 * np.eye(p.size)
-    normal += damping * np.diag(np.diag(normal))
-    low = np.array([k.low for k in unknowns]) - p
-    high = np.array([k.high for k in unknowns]) - p
-    return least_in_box(normal, jac.T @ r - precision @ p, low, high)
+class Normal(NamedTuple):
+    """The square ‖r − J δ‖² + ‖(p + δ)/prior‖² of a step δ: δᵀ A δ − 2 bᵀ δ and a constant."""
+
+    matrix: Floats  # A
+    slope: Floats  # b
+    low: Floats  # bounds of δ
+    high: Floats
+
+    @classmethod
+    def of(cls, r: Floats, jac: Floats, p: Floats, unknowns: Sequence[Unknown]) -> "Normal":
+        """Square of a step from p."""
+        precision = np.diag([1.0 / k.prior**2 for k in unknowns])
+        # A weak pull keeps effects' parameters that the data say nothing about where they are.
+        matrix = jac.T @ jac + precision + 1e-6 * np.eye(p.size)
+        low, high = (np.array([getattr(k, end) for k in unknowns]) - p for end in ("low", "high"))
+        return cls(matrix, jac.T @ r - precision @ p, low, high)
+
+    def step(self, damping: float) -> Floats:
+        """Return the bounded step at which the square, and damping ‖δ‖²_diag, is least."""
+        damped = self.matrix + damping * np.diag(np.diag(self.matrix))
+        return least_in_box(damped, self.slope, self.low, self.high)
+
+    def gain(self, step: Floats) -> float:
+        """Fall of the square by a step."""
+        return float((2.0 * self.slope - self.matrix @ step) @ step)
 
 
 def least_in_box(normal: Floats, slope: Floats, low: Floats, high: Floats) -> Floats:

@@ -6,7 +6,7 @@ another parameter; what was computed lately is kept.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from dmptm_ctrl.effects.encoder_eccentricity import ENCODER_ECCENTRICITY
 from dmptm_ctrl.effects.reducer_compliance import REDUCER_COMPLIANCE
 from dmptm_ctrl.identify.disturbance import Course, Rows, course, disturbance
+from dmptm_ctrl.identify.measured_motion import recent
 from dmptm_ctrl.identify.motion import Motion, averaged, odd_span, second_difference, smooth
 from dmptm_ctrl.simulate.along import Acting, built_up_along, law_along, reading_along
 from dmptm_ctrl.simulate.dual import MOTORS, RING
@@ -26,7 +27,7 @@ STIFFNESS = 3.6e4  # N·m/rad, Table 1: expresses a twist as a torque, whatever 
 SEEN_SECONDS = 0.01  # passes what the multisine excites, keeps the encoders' noise small
 CARRIED_SECONDS = 0.02  # span over which the mesh torque is smoothed
 ENCODER_UNIT = 1e-4  # rad, at which the encoder's error is read off its kernel
-RECENT = 4  # results kept
+RECENT = 16  # results kept
 NOTHING = np.zeros((2, 1))
 
 
@@ -56,6 +57,7 @@ class Windowed:
         self.friction = lru_cache(RECENT)(self._friction)
         self.even_friction = lru_cache(RECENT)(self._even_friction)
         self.disturbed = lru_cache(RECENT)(self._disturbed)
+        self.known: dict[tuple[int, bool], tuple[Floats, Floats]] = {}
 
     @cached_property
     def course(self) -> Course:
@@ -222,8 +224,13 @@ class Windowed:
         out = np.zeros((len(rows), self.ring.size))
         for k, row in enumerate(rows):
             if row is not None:
-                out[k] = self.mean(row, held=held)
+                make = partial(self.mean_of, row, held)
+                out[k] = recent(self.known, (id(row), held), make, RECENT)[1]
         return out
+
+    def mean_of(self, row: Floats, held: bool) -> tuple[Floats, Floats]:
+        """Row with its window means: another in its place in memory is not taken for it."""
+        return row, self.mean(row, held=held)
 
     def missing(self, model: Model) -> Floats:
         """All balances on all windows, (3, w) [N·m]."""

@@ -1,10 +1,10 @@
-"""exp, sin and cos as short branch-free code, and kernels that use them.
+"""exp, pow, sin and cos as short branch-free code, and kernels that use them.
 
 The library's functions are calls: they stop a loop from being vectorised over lanes and cost
 as much as the rest of a kernel. These are the textbook reductions (Cody & Waite, Software
 Manual for the Elementary Functions, 1980) with Taylor polynomials on the reduced interval;
 a test holds them to a few units in the last place. The physics stays as it is written:
-:func:`hosted` compiles the same kernel with other names for exp, sin and cos.
+:func:`hosted` compiles the same kernel with other names for exp, pow, sin and cos.
 """
 
 import math
@@ -56,6 +56,8 @@ _LN2_LOW = 1.9082149292705877e-10
 _LEAST, _MOST = -708.0, 709.0  # beyond, a double under- or overflows
 _EXP_LEAST, _EXP_MOST = math.exp(_LEAST), math.exp(_MOST)
 _ONE_BITS = 1023 << 52
+_ROUND_BITS = 0x4338000000000000
+_ROOT_HALF_BITS = 0x3FE6A09E667F3BCD  # of the least factor beside a power of two
 
 _TWO_OVER_PI = 0.6366197723675814
 _QUARTER_1 = 1.5707963109016418  # π/2 in parts of 25, 29 and 53 bits
@@ -231,6 +233,28 @@ def exp(x):
 
 
 @njit(**OPTIONS)
+def log(x):
+    """Natural logarithm of a number that is positive and not subnormal; about −709 of zero."""
+    whole = (bits(x) - _ROOT_HALF_BITS) >> 52
+    factor = double(bits(x) - (whole << 52))
+    s = (factor - 1.0) / (factor + 1.0)
+    z = s * s
+    z2 = z * z
+    low = fused(z2, fused(z, 2.0 / 9.0, 2.0 / 7.0), fused(z, 2.0 / 5.0, 2.0 / 3.0))
+    high = fused(z2, fused(z, 2.0 / 17.0, 2.0 / 15.0), fused(z, 2.0 / 13.0, 2.0 / 11.0))
+    high = fused(z2 * z2, 2.0 / 19.0, high)
+    power = double(_ROUND_BITS + whole) - _ROUND
+    part = fused(power, _LN2_LOW, s * z * fused(z2 * z2, high, low))
+    return fused(power, _LN2_HIGH, fused(2.0, s, part))
+
+
+@njit(**OPTIONS)
+def power(x, y):
+    """Power of a number that is not negative; -0.0 is none that is."""
+    return exp(y * log(abs(x)))
+
+
+@njit(**OPTIONS)
 def _quarters(x):
     """Quarter turns in x, as bits, and what is left of it."""
     shifted = fused(x, _TWO_OVER_PI, _ROUND)
@@ -333,14 +357,14 @@ def compiled_callback(
     return made(signature, **options, **INNER)(function)
 
 
-_INSTEAD: dict[Any, Any] = {math.exp: exp, math.sin: sin, math.cos: cos}
+_INSTEAD: dict[Any, Any] = {math.exp: exp, math.pow: power, math.sin: sin, math.cos: cos}
 
 
 @cache
 def hosted(
     kernel: Callable[..., Any], *instead: tuple[Callable[..., Any], Callable[..., Any]]
 ) -> Callable[..., Any]:
-    """Return a kernel compiled inline with this module's exp, sin and cos.
+    """Return a kernel compiled inline with this module's functions.
 
     Kernels that it calls are treated alike, of pairs `instead` the second for the first. It can be
     called from compiled code only. A kernel that is not numba's, or numba switched off, gives the

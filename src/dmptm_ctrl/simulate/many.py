@@ -130,6 +130,7 @@ def _lanes(
     structure = structure_of(plants[0]._replace(on=on), switched=switched)
     engine, rows = lane_engine(structure, width), rows_of(structure, width)
     laws, closed = [NOBODY] * width, closers is not None
+    acting = np.bitwise_or.reduce([plant.on for plant in plants])
     if closers is not None:
         known = {id(one): one.controller() for one in closers}
         laws = [known[id(one)] for one in closers]
@@ -170,7 +171,7 @@ def _lanes(
     sensors = len(structure.sensors)
     torques = (columns >= sensors) & (columns < count - inputs)
     loops_of(width).march_lanes(
-        table, lanes, *calls_of(structure, width, on, bool(torques.any() or summed.size)),
+        table, lanes, *calls_of(structure, width, acting, bool(torques.any() or summed.size)),
         structure.coordinates, inputs, rows.index["u0"], rows.anew or bool(dead.any()),
         rows.index[rows.seen[0]], count,
         common.u, kept, np.zeros(inputs) if common.before is None else common.before, dead,

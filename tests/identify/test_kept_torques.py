@@ -8,7 +8,7 @@ import pytest
 
 import dmptm_ctrl
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.identify.forces import forces_of
+from dmptm_ctrl.identify.forces import _wound, forces_of, hidden_run, measured_motion
 from dmptm_ctrl.identify.inverse_dynamics import balance_of, residual
 from dmptm_ctrl.identify.measured_motion import NONE, Nuisance
 from dmptm_ctrl.signals import Log
@@ -47,6 +47,16 @@ def balance():
     angles = np.sin(5.0 * time), np.sin(5.0 * time) - 0.01 * np.cos(5.0 * time)
     read = dict(zip(("out_motor", "out_table"), angles, strict=True))
     return balance_of(RIG, [Log("a", time, {"in_u": np.cos(5.0 * time), **read})])
+
+
+@pytest.mark.parametrize("twist", [0.0, 2e-3])
+def test_torque_of_a_spring_between_two_sensors_is_that_of_a_run(balance, twist):
+    (motion,) = balance.motions
+    nuisance = Nuisance({}, {"one": twist})
+    measured, _ = measured_motion(MODEL, balance, motion, nuisance)
+    run = hidden_run(MODEL, motion, measured, nuisance).link("one")
+    by_twist = _wound(MODEL, motion, measured, nuisance, "one")
+    np.testing.assert_allclose(by_twist, run, rtol=0, atol=1e-12 * np.abs(run).max())
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.signals import Log, load_log
 from dmptm_ctrl.signals.units import parse_unit
 from dmptm_ctrl.simulate.batch import march_any
-from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, OUTPUTS, SUBSTEPS, march, rest
+from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, OUTPUTS, march, rest
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.rig_model import RigModel
 
@@ -86,13 +86,12 @@ def expected(
     stiffness, damping = model.drive["k_m"], model.drive["c"]
     jogged = (model.with_values(k_m=stiffness * a, c=damping * b) for a, b in shares)
     models = [model, *jogged]
-    substeps = SUBSTEPS if runs > 1 else FINE_SUBSTEPS  # a mean follows no impact by itself
     if runs > 1 and u.shape[1] <= TOGETHER:
-        many = march_any(models, u, starts, dt, substeps=substeps, columns=columns)
+        many = march_any(models, u, starts, dt, substeps=FINE_SUBSTEPS, columns=columns)
         return np.asarray(many.mean(axis=0))
-    total = march(model, u, starts[0], dt, substeps=substeps)
+    total = march(model, u, starts[0], dt, substeps=FINE_SUBSTEPS)
     for other, start in zip(models[1:], starts[1:], strict=True):
-        total += march(other, u, start, dt, substeps=substeps)
+        total += march(other, u, start, dt, substeps=FINE_SUBSTEPS)
     return total[:, [*columns]] / runs
 
 

@@ -205,22 +205,37 @@ def _through_spring(
 def _simulated(
     model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance, names: list[str]
 ) -> dict[str, Floats]:
-    """Torques of links by a run; kept along measured motion, for fits ask again."""
+    """Torques of links: by the twist where both ends are measured and there is no gap, or a run.
+
+    Those of a run along measured motion are kept, for fits ask again.
+    """
+    layout, plant = model.layout, model.plant()
+    everything = len(measured) == layout.coordinates
+    if everything and not plant.link_gap[[layout.links.index(name) for name in names]].any():
+        return {name: _wound(model, motion, measured, nuisance, name) for name in names}
 
     def run() -> dict[str, Floats]:
         hidden = hidden_run(model, motion, measured, nuisance)
         return {name: hidden.link(name) for name in names}
 
     # identities of arrays that do not last come again
-    lasting = all(id(v) in motion.known for _, v, _ in measured.values())
-    if len(measured) < model.layout.coordinates or not lasting:
+    if not everything or not all(id(v) in motion.known for _, v, _ in measured.values()):
         return run()
-    own = tuple((e.key, *e.values.items()) for e in model.effects if e.on in model.layout.links)
+    own = tuple((e.key, *e.values.items()) for e in model.effects if e.on in layout.links)
     shifts = (tuple(sorted(d.items())) for d in (nuisance.twist, nuisance.zero, motion.zero))
     moves = tuple(id(v) for _, v, _ in measured.values())
-    key = model.plant().link_values.tobytes(), own, moves, *shifts
+    key = plant.link_values.tobytes(), own, moves, *shifts
     found: dict[str, Floats] = recent(motion.known.setdefault("links", {}), key, run, RECENT)
     return found
+
+
+def _wound(
+    model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance, name: str
+) -> Floats:
+    """Torque of a link without a gap, k z + c ż, (n,)."""
+    z, rate, _, stiffness = twist_of(model, name, motion, measured, nuisance)
+    damping = model.plant().link_values[model.layout.links.index(name), 2]
+    return np.asarray(stiffness * z + damping * rate)
 
 
 def hidden_run(model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance) -> RigRun:

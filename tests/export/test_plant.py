@@ -95,6 +95,14 @@ def test_dual_motor_drive_with_each_effect(name, tmp_path):
 
 
 @needs_compiler
+def test_dual_motor_drive_with_exponents_of_friction(tmp_path):
+    model = Model().with_values(delta3=1.4, deltaL=0.7)
+    true = simulate(model, TIME, VOLTS).outputs.T
+    assert np.abs(true - simulate(Model(), TIME, VOLTS).outputs.T).max() > 1e-6
+    close(c_run(plant_program(model, DT), VOLTS, tmp_path), true)
+
+
+@needs_compiler
 def test_all_effects_at_once(tmp_path):
     """Tables of several effects, each read at its own place, beside every other effect."""
     rng, model = np.random.default_rng(2), Model()

@@ -2,7 +2,7 @@
 
 import ast
 from collections.abc import Callable, Mapping
-from math import isclose, pow
+from math import isclose
 from typing import Any
 
 import numpy as np
@@ -180,9 +180,10 @@ class Expressions:
             return Range(*(args if len(args) == 2 else (0, *args)))
         if function in (float, int, bool, abs, min, max, len):
             return _builtin(function, args)
-        if function is pow:
+        elementary = module == "math" or module.endswith("elementary")
+        if elementary and name in ("pow", "power"):
             return self._power(*args)
-        if name in ir.FUNCTIONS and (module == "math" or module.endswith("elementary")):
+        if elementary and name in ir.FUNCTIONS:
             return ir.make(name, ir.make("real", args[0]))
         if function is borrowed or function is arrays_at:
             return args[0]

@@ -173,15 +173,15 @@ class DualEvidence:
         order = [k for k in np.argsort(gains)[::-1] if gains[k] >= least]
         first = int(np.isinf(gains).sum()) + FINALISTS
         found = self._tried([starts[k] for k in order[:first]])
-        able = [self._candidate(state, (t,)) for t in found]
+        judged = {t: self._candidate(state, (t,)) for t in found}
         # none is chosen that was not fitted, and few could be
-        best = max((c.evidence for c in able if c.acceptable), default=LEVEL + NEAR)
+        best = max((c.evidence for c in judged.values() if c.acceptable), default=LEVEL + NEAR)
         most = evidence_per_gain(self.ratio(state))
         could = [k for k in order[first:] if most * gains[k] >= best - NEAR]
         found += self._tried([starts[k] for k in could])
         rest = [k for k in order[first:] if k not in could]
         return [
-            *(self._candidate(state, (t,)) for t in finished(view, found)),
+            *(judged.get(t) or self._candidate(state, (t,)) for t in finished(view, found)),
             *(self._rough(starts[k]) for k in rest),
         ]
 

@@ -1,19 +1,17 @@
 """Forms that no effect of the catalogue has, held against those that it has.
 
-A local spot is a bump. Friction may also be other over a stretch, with edges: another bearing, a
-part of a rail. The bump then takes most of it, and has the wrong name.
+A local spot is a bump of friction. Friction may also differ over a stretch with sharp edges, as on
+another part of a rail. A bump explains most of that, but it is the wrong name.
 """
 
 from collections.abc import Callable
-from math import pi
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.rig_shapes import friction_columns, rows_of, unit_columns
+from dmptm_ctrl.diagnosis.rig_shapes import friction_columns, travel_of, unit_columns
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent
 from dmptm_ctrl.diagnosis.select import NEAR
 from dmptm_ctrl.effects.local_spot import LOCAL_SPOT
-from dmptm_ctrl.identify.free_parameters import on_slide
 from dmptm_ctrl.identify.rig_fit import RigFit
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import Placed
@@ -22,9 +20,9 @@ BINS = 512  # of the travel, where edges are looked for
 
 
 def other_form(effect: Placed, before: RigFit) -> str:
-    """Why an effect is not what it looks like; empty where its form is the best.
+    """Why the form of an effect is wrong; empty where no other explains more.
 
-    Both forms have as many numbers: two places, and how much friction there is between them.
+    A bump and a stretch have three numbers each: two for where it is, one for how much.
 
     Parameters
     ----------
@@ -44,37 +42,27 @@ def other_form(effect: Placed, before: RigFit) -> str:
 
 
 def stretch(tangent: Tangent, body: str) -> Callable[[Floats], Floats] | None:
-    """Return where friction is most unlike that around, 1.0 at angles there and 0.0 elsewhere.
+    """Return the stretch that explains most: a function that is 1.0 at its angles, 0.0 elsewhere.
 
-    Of all pairs of edges, those between which it differs by most of the variance.
+    All pairs of edges are tried: what is between them explains a share of the variance.
     """
-    logs = [rows_of(tangent, k, body) for k in range(len(tangent.balance.motions))]
-    angle, speed, left = (np.concatenate(x) for x in zip(*logs, strict=True))
-    low, span = float(angle.min(initial=0.0)), float(np.ptp(angle)) if angle.size else 0.0
-    if span == 0.0:
+    travel = travel_of(tangent, body)
+    if travel is None:
         return None
-    turns = not on_slide(tangent.fit.model, body) and span > 2.0 * pi
-    if turns:
-        low, span = 0.0, 2.0 * pi
-
-    def bin_of(theta: Floats) -> Floats:
-        place = np.floor((theta - low) / span * BINS)
-        return np.mod(place, BINS) if turns else np.clip(place, 0, BINS - 1)
-
-    bins, count = bin_of(angle).astype(int), angle.size
-    sums = np.cumsum(np.append(0.0, np.bincount(bins, np.sign(speed) * left, BINS)))
+    bins, count = travel.bins(travel.angle, BINS), travel.angle.size
+    sums = np.cumsum(np.append(0.0, np.bincount(bins, travel.excess, BINS)))
     rows = np.cumsum(np.append(0, np.bincount(bins, minlength=BINS)))
     share = np.triu(rows[None, :] - rows[:, None]) / count
     more = sums[None, :] - sums[:, None] - share * sums[-1]
     between = share * (1.0 - share)
     gain = np.divide(more**2, between, out=np.zeros_like(more), where=between > 0.0)
-    if not turns:  # what is beyond both edges is no stretch
+    if not travel.turns:  # what is beyond both edges is no stretch
         gain[more < 0.0] = 0.0
     first, last = np.unravel_index(np.argmax(gain), gain.shape)
     between_them = more[first, last] > 0.0
 
     def inside(theta: Floats) -> Floats:
-        place = bin_of(theta)
+        place = travel.bins(theta, BINS)
         return np.where(((place >= first) & (place < last)) == between_them, 1.0, 0.0)
 
     return inside

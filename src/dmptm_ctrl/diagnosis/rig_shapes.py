@@ -2,8 +2,10 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent
 from dmptm_ctrl.identify.forces import measured_motion, unfolded
@@ -154,18 +156,52 @@ def rows_of(tangent: Tangent, log: int, body: str) -> tuple[Floats, Floats, Floa
     return angle, speed, tangent.fit.left[log][0][use]
 
 
-def spots(tangent: Tangent, body: str) -> list[dict[str, float]]:
-    """Places at which friction is most unlike that around, by the residual over the angle."""
+class Travel(NamedTuple):
+    """What a residual says of friction along the way of a body.
+
+    Attributes
+    ----------
+    angle, excess : (rows,) arrays
+        Of the rows of all logs; how much more than the model's it is.
+    low, span : float
+        Where the way begins, and how long it is: one turn at most.
+    turns : bool
+        Whether it is closed.
+    """
+
+    angle: Floats
+    excess: Floats
+    low: float
+    span: float
+    turns: bool
+
+    def bins(self, angle: Floats, count: int) -> NDArray[np.int64]:
+        """Which of so many equal parts of the way each angle is in."""
+        along = np.mod(angle, self.span) if self.turns else angle
+        return np.clip(((along - self.low) / self.span * count).astype(int), 0, count - 1)
+
+
+def travel_of(tangent: Tangent, body: str) -> Travel | None:
+    """Return the way of a body; None where it does not move."""
     logs = [rows_of(tangent, k, body) for k in range(len(tangent.balance.motions))]
     angle, speed, left = (np.concatenate(x) for x in zip(*logs, strict=True))
     if angle.size == 0 or np.ptp(angle) == 0:
-        return []
-    slide = on_slide(tangent.fit.model, body)
+        return None
     low, span = float(angle.min()), float(np.ptp(angle))
-    if not slide and span > 2 * np.pi:
-        angle, low, span = np.mod(angle, 2 * np.pi), 0.0, 2 * np.pi
-    place = np.minimum(((angle - low) / span * SPOT_BINS).astype(int), SPOT_BINS - 1)
-    push = np.bincount(place, -np.sign(speed) * left, SPOT_BINS)
+    turns = not on_slide(tangent.fit.model, body) and span > 2 * np.pi
+    if turns:
+        low, span = 0.0, 2 * np.pi
+    return Travel(angle, np.sign(speed) * left, low, span, turns)
+
+
+def spots(tangent: Tangent, body: str) -> list[dict[str, float]]:
+    """Places at which friction is most unlike that around, by the residual over the angle."""
+    travel = travel_of(tangent, body)
+    if travel is None:
+        return []
+    low, span = travel.low, travel.span
+    place = travel.bins(travel.angle, SPOT_BINS)
+    push = np.bincount(place, -travel.excess, SPOT_BINS)
     count = np.bincount(place, minlength=SPOT_BINS).astype(float)
     found: list[tuple[float, dict[str, float]]] = []
     for width in WIDTHS:

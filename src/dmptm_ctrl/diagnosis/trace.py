@@ -90,6 +90,10 @@ class Trace:
         """The same for effects that act faster than a window passes."""
         return self if self.left.fast is self.left else Trace(self.left.fast)
 
+    def of(self, name: str) -> "Trace":
+        """The same, as it counts for an effect."""
+        return self.fast if CATALOGUE[name].fast else self
+
     def project(self, columns: Floats) -> Floats:
         """Take out what the drive's parameters could explain; (m,) or (m, k) weighted."""
         pad = [(0, self.rows)] + [(0, 0)] * (columns.ndim - 1)
@@ -366,7 +370,7 @@ class Start:
 
 def begun(trace: Trace, names: Iterable[str]) -> list[Start]:
     """Return the starts of effects."""
-    return [Start(trace.fast if CATALOGUE[name].fast else trace, name) for name in names]
+    return [Start(trace.of(name), name) for name in names]
 
 
 def try_effect(start: Start) -> Trial:
@@ -388,8 +392,7 @@ def tried(trace: Trace, name: str, done: BalanceFit) -> Trial:
 
 def settled(trace: Trace, trial: Trial) -> Trial:
     """Fit a trial to the end, with the drive's columns taken where it is."""
-    if CATALOGUE[trial.name].fast:
-        trace = trace.fast
+    trace = trace.of(trial.name)
     own = trace.base.unknowns
     there = columns(trace.balance, trial.fit.model, own)
     again = fit_balance(trace.balance, trial.fit.model, trial.fit.unknowns, jacobian=there)

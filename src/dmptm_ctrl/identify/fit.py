@@ -152,10 +152,6 @@ class Normal(NamedTuple):
         damped = self.matrix + damping * np.diag(np.diag(self.matrix))
         return least_in_box(damped, self.slope, self.low, self.high)
 
-    def gain(self, step: Floats) -> float:
-        """Fall of the square by a step."""
-        return float((2.0 * self.slope - self.matrix @ step) @ step)
-
 
 def least_in_box(normal: Floats, slope: Floats, low: Floats, high: Floats) -> Floats:
     """Return the x between bounds at which ½ xᵀ A x − bᵀ x is least.

@@ -83,7 +83,7 @@ def forces_of(
     measured, _ = measured_motion(model, balance, motion, nuisance)
     twists = {n: twist_of(model, n, motion, measured, nuisance) for n in balance.teeth}
     others = [name for name in layout.links if name not in twists]
-    runs = _simulated(model, motion, measured, nuisance, others) if others else {}
+    runs = _link_torques(model, motion, measured, nuisance, others) if others else {}
     zeros = dict.fromkeys(layout.bodies, np.zeros(motion.time.size))
     pushes, volts = [], {}
     for j, name in enumerate(layout.inputs):
@@ -202,12 +202,13 @@ def _through_spring(
     return None
 
 
-def _simulated(
+def _link_torques(
     model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance, names: list[str]
 ) -> dict[str, Floats]:
-    """Torques of links: by the twist where both ends are measured and there is no gap, or a run.
+    """Torques of links at their first bodies, (n,) each.
 
-    Those of a run along measured motion are kept, for fits ask again.
+    Without gaps, between measured bodies, they follow from the twists. Else a run gives them; it
+    is kept where all bodies are measured, for fits ask again.
     """
     layout, plant = model.layout, model.plant()
     everything = len(measured) == layout.coordinates

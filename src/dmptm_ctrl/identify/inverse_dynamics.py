@@ -163,7 +163,7 @@ class Balance:
         return tuple(bool(self.closed) or k in heavy for k in range(len(self.points)))
 
     def simulates(self, model: RigModel) -> bool:
-        """Whether links carry what only a run shows."""
+        """Whether there are links beside the toothed ones."""
         return bool({*model.layout.links} - {*self.teeth})
 
     def bends(self, model: RigModel) -> bool:

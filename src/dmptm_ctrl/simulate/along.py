@@ -68,7 +68,7 @@ def slide(omega, law, out):
 
 @njit
 def law_along(omega, p, out):
-    # a power takes longest: where there is none, the compiler knows it
+    # the power takes longest; an exponent of 1 needs none, and the compiler leaves it out
     if p[8] == 1.0:
         slide(omega, stribeck_law(p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], 1.0), out)
     else:

@@ -1,4 +1,4 @@
-"""exp, pow, sin and cos as short branch-free code, and kernels that use them.
+"""exp, log, power, sin and cos as short branch-free code, and kernels that use them.
 
 The library's functions are calls: they stop a loop from being vectorised over lanes and cost
 as much as the rest of a kernel. These are the textbook reductions (Cody & Waite, Software
@@ -250,7 +250,7 @@ def log(x):
 
 @njit(**OPTIONS)
 def power(x, y):
-    """Power of a number that is not negative; -0.0 is none that is."""
+    """Power of a number that is not below zero; -0.0 counts as zero."""
     return exp(y * log(abs(x)))
 
 

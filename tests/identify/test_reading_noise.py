@@ -140,10 +140,10 @@ def test_more_noise_than_is_left_makes_no_model_better(coarse):
     noises = np.array([like.noise_of(model) for model in (small, heavy)])
     assert noises[1, 0] > 2.0 * noises[0, 0]
     few = [0.1 * part for part in coarse.left]
-    assert np.all(like.scales(few) ** 2 < noises)
+    assert np.all(like.scales(few) ** 2 < noises[:, :, None])
     # worse by no more than so many rows tell a variance: by √(2/n) of it
     more = like.surprise(few, heavy) - like.surprise(few, small)
-    added = np.sqrt(2.0 / like.counts) * (noises[1] - noises[0]) / noises[0]
+    added = np.sqrt(2.0 / like.counts) * ((noises[1] - noises[0]) / noises[0])[:, None]
     assert 0.0 < more < float(np.sum(like.counts * np.log1p(added)))
     much = [10.0 * part for part in coarse.left]  # here noise is a small part, and is taken out
     assert abs(like.surprise(much, heavy) - like.surprise(much, small)) > 1.0

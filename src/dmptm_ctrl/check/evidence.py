@@ -190,13 +190,17 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int, bandwidth: float | 
     flat = np.concatenate([part.ravel() for part in left])[use]
     columns = np.concatenate([part.reshape(-1, len(frees)) for part in derivatives])
     columns = np.hstack([columns, at_rows(waves, left)])[use]
-    equation = np.concatenate([np.repeat(np.arange(count), n) for n in sizes])[use]
+    named = [balance.logs.index(m.name) for m in balance.motions]
+    group = np.concatenate(  # equation and log
+        [np.repeat(np.arange(count) + count * log, n) for n, log in zip(sizes, named, strict=True)]
+    )[use]
+    groups = count * len(balance.logs)
 
     def weigh(rest: Floats) -> Floats:
         weight = np.empty(rest.size)
-        for e, heavy in enumerate(balance.bursts):  # as a fit weighs them
-            own = equation == e
-            level = size_of(rest[own], heavy) or 1.0
+        for k in range(groups):  # as a fit weighs them
+            own, heavy = group == k, balance.bursts[k % count]
+            level = (size_of(rest[own], heavy) if own.any() else 0.0) or 1.0
             weight[own] = weights_of(rest[own], 1.0 / ROWS_PER_INDEPENDENT, level, heavy)
         return weight
 
@@ -205,7 +209,8 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int, bandwidth: float | 
     weight = _settled(flat, columns, prior, weigh)
     flat, columns = weight * flat, weight[:, None] * columns
     like = Likelihood(balance, np.full(count, 1.0 / ROWS_PER_INDEPENDENT)).knowing(model, left)
-    scales = np.sqrt(like.counts / np.bincount(equation, weight**2))
+    sums = np.bincount(group, weight**2, groups).reshape(-1, count).T
+    scales = np.sqrt(np.where(sums > 0.0, like.counts / np.maximum(sums, 1e-300), 1.0))
     own = columns[:, : len(frees)]
     square, gradient = own.T @ own, own.T @ flat
     clear = noise_taken_out(state, frees, like, scales, square, -gradient)

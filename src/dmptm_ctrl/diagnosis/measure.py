@@ -10,6 +10,7 @@ from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.simulate.model import Model
 
 MIN_SAMPLES = 200
+HOLD_EVERY = 3  # of many logs, one in so many is held out
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,18 +51,24 @@ class Measured:
 def split(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Divide experiments into those to fit and those to judge on.
 
-    Logs whose names differ in digits only are one kind of experiment: one of each kind
-    is held out, the last of one kind and the first of the next. What has no twin is
-    fitted. Without any twins every third log is held out.
+    One of each kind is held out. Without any twins every third log is.
+    """
+    held = of_each_kind(names)
+    if not held and len(names) >= 2:
+        held = sorted(names)[1::HOLD_EVERY]
+    return tuple(n for n in names if n not in held), tuple(held)
+
+
+def of_each_kind(names: Sequence[str]) -> list[str]:
+    """Choose one log of each kind of experiment: the last of one kind and the first of the next.
+
+    Logs whose names differ in digits only are of one kind. What has no twin is not chosen.
     """
     kinds: dict[str, list[str]] = {}
     for name in sorted(names):
         kinds.setdefault(re.sub(r"\d+", "", name), []).append(name)
     twins = [group for group in kinds.values() if len(group) > 1]
-    held = [group[-1] if i % 2 == 0 else group[0] for i, group in enumerate(twins)]
-    if not held and len(names) >= 2:
-        held = sorted(names)[1::3]
-    return tuple(n for n in names if n not in held), tuple(held)
+    return [group[-1] if i % 2 == 0 else group[0] for i, group in enumerate(twins)]
 
 
 def measure(logs: Sequence[Log], drive: Drive) -> Measured:

@@ -12,6 +12,7 @@ import numpy as np
 from dmptm_ctrl.diagnosis.budget import EXPLAINED, NEGLIGIBLE, Errors, Squares, near
 from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.diagnosis.confirmed import confirmed
+from dmptm_ctrl.diagnosis.measure import HOLD_EVERY, of_each_kind
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.report import Diagnosis, provenance
 from dmptm_ctrl.diagnosis.rig_ahead import Ahead
@@ -49,7 +50,6 @@ from dmptm_ctrl.simulate.placed_effects import BACKLASH
 from dmptm_ctrl.simulate.rig_model import RigModel, declared_effects
 
 MANY_LOGS = 6  # from here on whole logs are held out; below, stretches of each
-HOLD_EVERY = 3
 ROUNDS = 2  # fits of the declared model where hidden bodies follow the measured ones
 SAMPLES = 150_000  # of the balance; fits cost as much, and pieces of long logs show as much
 
@@ -266,15 +266,18 @@ def _as_read(
 def split(rig: Rig, balance: Balance) -> tuple[Balance, Balance, Sequence[str], str]:
     """Part the logs into fitted and held-out ones.
 
-    As the rig file says; else every third of many logs is held out, or three tenths of each
-    of a few. Then the names of logs that are held out whole, and in words what is held out.
+    As the rig file says; else of many logs one of each kind of experiment, where these are a third
+    at least, or every third log; of a few, three tenths of each. Then the names of logs that are
+    held out whole, and in words what is held out.
     """
     names, held = balance.logs, list[str]()
     roles = rig.roles(names)
     if any(roles.values()):
         held = [n for n in names if roles[n] == "held-out"]
     elif len(names) >= MANY_LOGS:
-        held = [*names[HOLD_EVERY - 1 :: HOLD_EVERY]]
+        held = of_each_kind(names)
+        if HOLD_EVERY * len(held) < len(names):
+            held = [*names[HOLD_EVERY - 1 :: HOLD_EVERY]]
     if not held:
         return balance.part("fit"), balance.part("held-out"), (), "held-out parts of every log"
     fit = [n for n in names if n not in held]

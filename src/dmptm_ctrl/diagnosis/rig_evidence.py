@@ -88,8 +88,16 @@ class RigEvidence:
         return self._ranged(state, True)
 
     def free(self, state: RigState) -> RigState:
-        """Fit again with declared quantities free to leave their ranges."""
-        return self._ranged(state, False)
+        """Fit again with declared quantities free to leave their ranges.
+
+        How surely rows show them is asked where the rows alone would have them: held inside, what
+        is missing would make the ranges look sure.
+        """
+        doubtless = replace(state.fit.likelihood, doubt={})
+        found = self._ranged(replace(state, fit=replace(state.fit, likelihood=doubtless)), False)
+        like = replace(found.fit.likelihood, doubt=found.fit.doubt)
+        again = replace(found, fit=replace(found.fit, likelihood=like))
+        return self.refit(again, found.logs, found.held)
 
     def _ranged(self, state: RigState, ranged: bool) -> RigState:
         there = replace(state.fit.state, model=replace(state.fit.model, ranged=ranged))

@@ -72,7 +72,24 @@ def _nothing(key: str, fit: RigFit) -> str:
         effect = fit.model.effect(members(key)[0])
         return "" if any(effect.values.values()) else "no amplitude differs from zero"
     sizes = np.array([fit.state.get(f := fit.frees[j]) / f.scale for j in own])
-    return "" if differ(sizes, fit.covariance[np.ix_(own, own)]) else NO_DIFFERENCE
+    return "" if differ(sizes, _covariance(fit, key, own)) else NO_DIFFERENCE
+
+
+def _covariance(fit: RigFit, key: str, own: Sequence[int]) -> Floats:
+    """Covariance of amplitudes beside the shape that was fitted with them.
+
+    Whatever is known of the time constant of a slow drift, and so of its final size, it drifts.
+    """
+    names = PLACED_CATALOGUE[name_of(key)].shapes
+    shapes = [
+        j for j, f in enumerate(fit.frees)
+        if f.kind == "effect" and f.owner in members(key) and f.name in names
+    ]  # fmt: skip
+    both = fit.covariance[np.ix_([*own, *shapes], [*own, *shapes])]
+    k = len(own)
+    if not shapes:
+        return both
+    return both[:k, :k] - both[:k, k:] @ np.linalg.pinv(both[k:, k:], hermitian=True) @ both[k:, :k]
 
 
 def _beyond(key: str, fit: RigFit) -> str:

@@ -17,6 +17,7 @@ from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.compared_signals import correlation_length
 from dmptm_ctrl.identify.inverse_dynamics import Balance
+from dmptm_ctrl.identify.likelihood import Likelihood
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
 from dmptm_ctrl.identify.state import State
 from dmptm_ctrl.simulate.model import Floats
@@ -113,7 +114,7 @@ def of_teeth(final: RigState) -> Callable[[Sequence[Floats]], float]:
     Each equation counts in units of its scale under the final model.
     """
     likelihood = final.fit.likelihood.on(final.held)
-    scales, rows = likelihood.scales(final.held_left[0]), likelihood.rows
+    scales, rows = pooled(likelihood, final.held_left[0]), likelihood.rows.sum(axis=1)
 
     def more(left: Sequence[Floats]) -> float:
         ratio = likelihood.sizes(left) / scales
@@ -121,6 +122,11 @@ def of_teeth(final: RigState) -> Callable[[Sequence[Floats]], float]:
         return float(scales[0] ** 2 * sum(of))
 
     return more
+
+
+def pooled(likelihood: Likelihood, left: Sequence[Floats]) -> Floats:
+    """Scale of each equation in all logs together, (equations,)."""
+    return np.hypot(likelihood.sizes(left), likelihood.floor)
 
 
 def beside_torques(balanced: RigState, state: RigState) -> RigState:
@@ -131,17 +137,22 @@ def beside_torques(balanced: RigState, state: RigState) -> RigState:
 
 
 def rise(without: RigState, final: RigState) -> float:
-    """Share by which what is left of all balances rises without an effect."""
+    """What is left of all balances rises by without an effect, over what is left beyond noise.
+
+    Noise has nothing in common with the next row but one; neighbouring rows overlap.
+    """
+    more = still = 0.0
     likelihood, held = final.fit.likelihood, final.fit.likelihood.on(final.held)
-    scales = likelihood.scales(final.fit.left)
-    squares = [
-        sum(
-            float(np.sum(side.rows * (side.sizes(left) / scales) ** 2))
-            for side, left in ((likelihood, one.fit.left), (held, one.held_left[0]))
-        )
-        for one in (without, final)
-    ]
-    return squares[0] / max(squares[1], 1e-300) - 1.0
+    for side, was, now in (
+        (likelihood, without.fit.left, final.fit.left),
+        (held, without.held_left[0], final.held_left[0]),
+    ):
+        weights = side.weights(now)
+        before, after = weights * side.stack(was), weights * side.stack(now)
+        more += float(before @ before - after @ after)
+        equations = np.split(after, np.cumsum(side.rows.sum(axis=1))[:-1])
+        still += sum(float(x[2:] @ x[:-2]) for x in equations)
+    return more / max(still, 1e-300)
 
 
 def independent(state: RigState) -> Floats:

@@ -324,12 +324,15 @@ def compared(
         entries = []
         for key in state.keys:
             without = evidence.without(state, key)
-            gains = evidence.gains(without, state)
-            able = rivals_of(evidence, selection, state, without, key)
-            rivals = ranked([in_place(evidence, without, state, gains, c) for c in able])
-            better = other_way(evidence, selection, state, without, key, gains, rivals)
-            if better is None and evidence.objection(without, state, key):
-                better = given_way(evidence, without, rivals)
+            gains, rivals = evidence.gains(without, state), list[Candidate]()
+            if beyond_need(evidence, without, state) <= 0.0:
+                better = without  # the rest explains as much, from where no small step leads
+            else:
+                able = rivals_of(evidence, selection, state, without, key)
+                rivals = ranked([in_place(evidence, without, state, gains, c) for c in able])
+                better = other_way(evidence, selection, state, without, key, gains, rivals)
+                if better is None and evidence.objection(without, state, key):
+                    better = given_way(evidence, without, rivals)
             if better is not None and len(seen) <= MOST:
                 said: list[str] = []
                 changed = pruned(evidence, better, said.append)

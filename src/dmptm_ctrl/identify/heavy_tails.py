@@ -38,7 +38,7 @@ def _count(e: Floats, s: float, freedom: float, out: Floats) -> None:
         out[i] = (freedom + 1.0) / (ratio * ratio + freedom) * (e[i] * e[i])
 
 
-def bent(rows: Floats, scale: float) -> Floats:
+def bent(rows: Floats, scale: float | Floats) -> Floats:
     """How much rows count by Student's t of a scale."""
     return (FREEDOM + 1.0) / (FREEDOM + (rows / scale) ** 2)
 

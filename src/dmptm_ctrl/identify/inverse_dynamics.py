@@ -183,6 +183,11 @@ class Balance:
         ]
 
     @cached_property
+    def places(self) -> list[list[NDArray[np.int64]]]:
+        """The same as row numbers, per equation and motion."""
+        return [[np.flatnonzero(use[e]) for use in self.counted] for e in range(len(self.points))]
+
+    @cached_property
     def noise_spectrum(self) -> tuple[NDArray[np.complex128], Floats]:
         """Noise of readings in the band of the balance; see :func:`.reading_noise.spectrum`."""
         return spectrum(self)

@@ -22,7 +22,9 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """How much the rows of a balance say.
+    """How much the rows of a balance say: each equation at its own scale in each log.
+
+    With one scale for all logs, those of violent motion would hide what quiet ones show.
 
     Attributes
     ----------
@@ -48,7 +50,7 @@ class Likelihood:
     def knowing(self, model: RigModel, left: Sequence[Floats]) -> "Likelihood":
         """Return the same with the noise of readings separated from what else a model leaves."""
         noise = self.noise_of(model)
-        share = noise / self.scales(left) ** 2
+        share = noise[:, None] / self.scales(left) ** 2
         return replace(self, noise=noise if np.sum(self.counts * share) > TOLERANCE else None)
 
     def between(self, *models: RigModel) -> "Likelihood":
@@ -68,8 +70,17 @@ class Likelihood:
 
     @cached_property
     def rows(self) -> Ints:
-        """Number of rows of each equation that count, (equations,)."""
-        return np.asarray(sum(use.sum(axis=1) for use in self.balance.counted), np.int64)
+        """Number of rows that count, (equations, logs)."""
+        found = np.zeros((len(self.balance.points), len(self.balance.logs)), np.int64)
+        for use, log in zip(self.balance.counted, self._log_of, strict=True):
+            found[:, log] += use.sum(axis=1)
+        return found
+
+    @cached_property
+    def _log_of(self) -> list[int]:
+        """Log of each motion: pieces of a long one are one log."""
+        names = self.balance.logs
+        return [names.index(m.name) for m in self.balance.motions]
 
     @cached_property
     def price(self) -> float:
@@ -77,28 +88,37 @@ class Likelihood:
 
         Schwarz, Ann. Statist. 6 (1978) 461.
         """
-        return float(np.log(max(float(self.counts[0]), 1.0)))
+        return float(np.log(max(float(self.counts[0].sum()), 1.0)))
 
     def parts(self, left: Sequence[Floats]) -> list[Floats]:
         """Rows that count, (rows[, k]) per equation."""
-        return [
-            np.concatenate(
-                [part[e][use[e]] for part, use in zip(left, self.balance.counted, strict=True)]
-            )
-            for e in range(left[0].shape[0])
-        ]
+        return np.split(self.stack(left), np.cumsum(self.rows.sum(axis=1))[:-1])
 
     @cached_property
     def blocks(self) -> Ints:
         """Block of every row, in the order of `stack`: equal numbers of rows on end."""
         whole = np.concatenate(self.balance.counted, axis=1)
-        count = max(int(self.rows[0]), 1)
+        count = max(int(self.rows[0].sum()), 1)
         block = (np.cumsum(whole[0]) - whole[0]) * min(BLOCKS, count) // count
         return np.concatenate([block[use] for use in whole])
 
     def stack(self, left: Sequence[Floats]) -> Floats:
         """Rows that count, equation after equation, (all rows[, k])."""
-        return np.concatenate(self.parts(left))
+        out, start = np.empty((int(self.rows.sum()), *left[0].shape[2:])), 0
+        for e, logs in enumerate(self.balance.places):
+            for part, rows in zip(left, logs, strict=True):
+                np.take(part[e], rows, axis=0, out=out[start : start + rows.size])
+                start += rows.size
+        return out
+
+    def by_log(self, left: Sequence[Floats]) -> list[list[Floats]]:
+        """Rows that count, per equation and log."""
+        ends = np.cumsum(self.rows, axis=1)[:, :-1]
+        return [np.split(own, end) for own, end in zip(self.parts(left), ends, strict=True)]
+
+    def along(self, values: Floats, equation: int) -> Floats:
+        """Values of the logs at each row of an equation that counts."""
+        return np.repeat(values, self.rows[equation])
 
     def sizes(self, left: Sequence[Floats]) -> Floats:
         """What is left of each equation, (equations,): its rms, or its scale beside bursts."""
@@ -106,45 +126,57 @@ class Likelihood:
         return np.array([size_of(part, heavy) if part.size else 1.0 for part, heavy in parts])
 
     def scales(self, left: Sequence[Floats]) -> Floats:
-        """Scale of each equation, (equations,): its size, and what no law is known below."""
-        return np.sqrt(self.sizes(left) ** 2 + self.floor**2)
+        """Scale of each equation in each log, (equations, logs), with what no law is known below.
+
+        Where no row counts it is 1.
+        """
+        sizes = [
+            [size_of(one, heavy) if one.size else 1.0 for one in logs]
+            for logs, heavy in zip(self.by_log(left), self.balance.bursts, strict=True)
+        ]
+        return np.hypot(sizes, self.floor)
 
     def weights(self, left: Sequence[Floats]) -> Floats:
         """Square roots of what each row counts, in the order of `stack`."""
-        rows = zip(
-            self.independent, self.scales(left), self.parts(left), self.balance.bursts, strict=True
-        )
+        scales = self.scales(left)
+        rows = zip(self.independent, self.parts(left), self.balance.bursts, strict=True)
         return np.concatenate(
-            [weights_of(part, share, scale, heavy) for share, scale, part, heavy in rows]
+            [
+                weights_of(part, share, self.along(scales[e], e), heavy)
+                for e, (share, part, heavy) in enumerate(rows)
+            ]
         )
 
     def surprise(self, left: Sequence[Floats], model: RigModel) -> float:
-        """−2 log-likelihood, each equation at its own scale, all models with the same noise."""
+        """−2 log-likelihood, each equation at its own scale in each log, all models alike noisy."""
         squares = self.scales(left) ** 2
         if self.noise is not None:
             # More noise than there is left makes no model better. What a model adds to the noise is
             # separated from what else it leaves no better than so many rows determine a variance.
-            own = self.noise_of(model)
-            uncertain = np.sqrt(2.0 / np.maximum(self.counts, 2.0)) * (own - self.noise)
+            own, noise = self.noise_of(model)[:, None], self.noise[:, None]
+            uncertain = np.sqrt(2.0 / np.maximum(self.counts, 2.0)) * (own - noise)
             least = np.maximum(self.floor**2, uncertain)
-            squares = np.maximum(squares - own, least) + self.noise
+            squares = np.maximum(squares - own, least) + noise
         # the mean square over the scale's is left in: near the floor it still falls
         spread = self.counts * (1.0 - self.floor**2 / squares)
-        heavy = np.flatnonzero(self.balance.bursts)
-        parts = self.parts(left) if heavy.size else []
+        heavy = np.flatnonzero(self.balance.bursts).tolist()
+        parts = self.parts(left) if heavy else []
         for e in heavy:
-            spread[e] = self.independent[e] * np.sum(tails(parts[e] ** 2 / squares[e]))
+            whole = np.sum(tails(parts[e] ** 2 / self.along(squares[e], e)))
+            spread[e] = self.independent[e] * whole / spread.shape[1]
         return float(np.sum(self.counts * np.log(squares) + spread))
 
     @cached_property
     def counts(self) -> Floats:
-        """Independent rows of each equation, (equations,)."""
-        return self.independent * self.rows
+        """Independent rows, (equations, logs)."""
+        return self.independent[:, None] * self.rows
 
     def row_surprises(self, left: Sequence[Floats]) -> list[Floats]:
         """The same of each row as if it were independent, per equation."""
-        rows = zip(self.parts(left), self.scales(left), self.balance.bursts, strict=True)
-        squares = [((p / s) ** 2, s, heavy) for p, s, heavy in rows]
+        scales = self.scales(left)
+        rows = zip(self.parts(left), self.balance.bursts, strict=True)
+        along = ((part, self.along(scales[e], e), heavy) for e, (part, heavy) in enumerate(rows))
+        squares = [((part / s) ** 2, s, heavy) for part, s, heavy in along]
         return [2.0 * np.log(s) + (tails(x) if heavy else x) for x, s, heavy in squares]
 
 
@@ -153,6 +185,6 @@ def size_of(rows: Floats, heavy: bool) -> float:
     return robust_scale(rows) if heavy else float(np.sqrt(np.mean(rows**2)))
 
 
-def weights_of(rows: Floats, share: float, scale: float, heavy: bool) -> Floats:
+def weights_of(rows: Floats, share: float, scale: float | Floats, heavy: bool) -> Floats:
     """Square roots of what rows of one equation count: less where they are bursts."""
     return np.sqrt(share * (bent(rows, scale) if heavy else np.ones(len(rows)))) / scale

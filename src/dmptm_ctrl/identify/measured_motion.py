@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import butter, firwin, freqz, sosfiltfilt, upfirdn, welch
+from scipy.signal import butter, firwin, freqz, sosfiltfilt, welch
 
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.compared_signals import NORMAL_MEDIAN, noise_below
@@ -128,9 +128,16 @@ class Motion:
     def reduce(self, signal: Floats) -> Floats:
         """Low-pass signals and keep one row in `step`, (..., rows); the edges are left out."""
         inner = signal[..., self._inset : signal.shape[-1] - self._inset]
-        first = (self.taps.size - 1) // self.step
-        rows = upfirdn(self.taps, inner, down=self.step)
-        return rows[..., first : first + self.rows.size]
+        rows, step = self.rows.size, self.step
+        out = self.taps[-1] * inner[..., self.taps.size - 1 :: step][..., :rows]
+        blocks = self.taps.size // step  # the last tap is one more
+        if rows and blocks > 0 and step > 1:
+            taps = self.taps[:-1].reshape(blocks, step)  # the same from either end
+            cut = inner[..., : (rows + blocks - 1) * step]
+            parts = cut.reshape(*cut.shape[:-1], -1, step) @ taps.T
+            for k in range(blocks):
+                out += parts[..., k : k + rows, k]
+        return out
 
     def smooth(self, signal: Floats) -> Floats:
         """Mean of a signal over one period of what is fastest in the motion, at all samples."""

@@ -402,10 +402,9 @@ def _step_of(
     extra, miss = prior_rows(state, frees, likelihood)
     # A little of Levenberg's damping decides directions that the logs do not show.
     size = np.sqrt(np.mean(np.sum(rows**2, axis=0))) if rows.size else 1.0
-    rows = np.vstack([rows, extra, 1e-6 * size * np.eye(len(frees))])
-    target = np.concatenate([target, miss, np.zeros(len(frees))])
     # Normal equations: numbers are scaled, and their condition is well below 1e8.
-    scales, square, slope = likelihood.scales(left), rows.T @ rows, -rows.T @ target
+    square = rows.T @ rows + extra.T @ extra + (1e-6 * size) ** 2 * np.eye(len(frees))
+    slope, scales = -rows.T @ target - extra.T @ miss, likelihood.scales(left)
     if more:
         square, slope = square + more[0].T @ more[0], slope - more[0].T @ more[1]
     clear = noise_taken_out(state, frees, likelihood, scales, square, slope)
@@ -435,7 +434,7 @@ def noise_taken_out(
         change = zip(noise_in_balance(there, likelihood.balance), here, strict=True)
         moved.append([(new - old) / (step / free.scale) for new, old in change])
     for e, noise in enumerate(here):
-        weight = likelihood.counts[e] / scales[e] ** 2
+        weight = float(np.sum(likelihood.counts[e] / scales[e] ** 2))
         columns = np.array([m[e] for m in moved])
         own += weight * columns @ columns.T
         slope += weight * columns @ noise

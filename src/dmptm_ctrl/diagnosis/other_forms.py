@@ -4,7 +4,7 @@ A local spot is a bump of friction. Friction may also differ over a stretch with
 another part of a rail. A bump explains most of that, but it is the wrong name.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -37,8 +37,17 @@ def other_form(effect: Placed, before: RigFit) -> str:
         return ""
     edged = friction_columns(before, tangent.balance, effect.on, inside)
     bump = unit_columns(before, tangent.balance, effect, amplitude)
-    more = tangent.score(edged)[0] - tangent.score(bump)[0]
+    more = _surprise(tangent, bump) - _surprise(tangent, edged)
     return "friction with sharp edges explains more" if more > NEAR else ""
+
+
+def _surprise(tangent: Tangent, columns: Sequence[Floats]) -> float:
+    """−2 log-likelihood of what is left beside columns, to first order."""
+    fit, (_, amplitudes) = tangent.fit, tangent.score(columns)
+    change = [own @ amplitudes for own in columns]
+    shift = tangent.shift(tangent.stack(change))
+    parts = zip(fit.left, change, fit.derivatives, strict=True)
+    return fit.likelihood.surprise([e + c + d @ shift for e, c, d in parts], fit.model)
 
 
 def stretch(tangent: Tangent, body: str) -> Callable[[Floats], Floats] | None:

@@ -173,13 +173,16 @@ class Tangent:
         table = self.stack(parts)
         size = np.linalg.norm(table, axis=0)
         free = self.project(table)
-        norm = np.linalg.norm(free, axis=0)
+        square = free.T @ free
+        norm = np.sqrt(np.diag(square))
         good = norm > 1e-6 * np.maximum(size, 1e-300)
         amplitudes = np.zeros(table.shape[1])
         if not good.any():
             return 0.0, amplitudes
-        u, s, vt = np.linalg.svd(free[:, good] / norm[good], full_matrices=False)
-        keep = s > 1e-4 * s[0]
-        along = u[:, keep].T @ self.target
-        amplitudes[good] = -(vt[keep].T @ (along / s[keep])) / norm[good]
+        own = norm[good]
+        values, vectors = np.linalg.eigh(square[np.ix_(good, good)] / np.outer(own, own))
+        keep = values > 1e-8 * values[-1]
+        root = np.sqrt(values[keep])
+        along = vectors[:, keep].T @ ((self.target @ free)[good] / own) / root
+        amplitudes[good] = -(vectors[:, keep] @ (along / root)) / own
         return float(along @ along), amplitudes

@@ -35,6 +35,7 @@ SET_BEAM = 12  # pairs that are made triples
 SET_TRIALS = 3  # pairs, and triples, that are fitted
 RIVALS = 3  # candidates that may take the place of an effect
 HOPE = 0.3  # share of what an effect explains that a rival can explain, to first order
+FLATTEST = 1e-12  # of the largest eigenvalue; flatter directions are rounding
 DOUBTFUL = 3.0  # levels; an effect of more by its standard errors is not taken out to be tested
 
 
@@ -228,15 +229,19 @@ class JointGain:
     def __init__(self, rows: Rows) -> None:
         names = list(rows.columns)
         table = np.column_stack([rows.derivatives, *rows.columns.values(), rows.left])
-        size = np.linalg.norm(table, axis=0)
+        size = np.sqrt(np.einsum("ij,ij->j", table, table))
         size[size == 0.0] = 1.0
-        size[-1] = 1.0
-        self._r = np.asarray(np.linalg.qr(table / size, mode="r"), np.float64)
+        gram = (table.T @ table) / np.outer(size, size)
+        values, vectors = np.linalg.eigh(gram)
+        self._r = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T  # all that rows say
+        self._whole = size[-1] ** 2
         self._own = own = rows.derivatives.shape[1]
         ends = own + np.cumsum([0, *(rows.columns[n].shape[1] for n in names)])
         self._places = {n: np.arange(ends[i], ends[i + 1]) for i, n in enumerate(names)}
-        self._low, high = rows.low * size[:own], rows.high * size[:own]
+        self._low, high = (x * size[:own] / size[-1] for x in (rows.low, rows.high))
         self._high = np.maximum(high, self._low + np.finfo(float).eps)
+        inner = np.linalg.pinv(gram[:own, :own], rcond=FLATTEST, hermitian=True)
+        self._beyond = gram - gram[:, :own] @ inner @ gram[:own]  # what parameters cannot do
         self._known: dict[tuple[Keys, ...], float] = {}
         self._alone = self._left(())
 
@@ -252,7 +257,9 @@ class JointGain:
         Parameters free of their ranges could only do more: few sets need be looked at.
         """
         found: list[tuple[Keys, ...]] = []
-        for most, group in sorted(((self._free(g), g) for g in groups), reverse=True):
+        most_of = self._free(groups)
+        for k in np.argsort(-most_of, kind="stable"):
+            most, group = most_of[k], groups[k]
             if len(found) >= count and most < self.bounded(found[count - 1]):
                 break
             found = sorted([*found, group], key=self.bounded, reverse=True)[:count]
@@ -263,14 +270,23 @@ class JointGain:
         free = np.full(used.size - self._own, np.inf)
         bounds = np.concatenate([self._low, -free]), np.concatenate([self._high, free])
         r = self._r
-        return 2.0 * float(lsq_linear(r[:, used], -r[:, -1], bounds, method="bvls").cost)
+        left = lsq_linear(r[:, used], -r[:, -1], bounds, method="bvls").cost
+        return 2.0 * self._whole * float(left)
 
-    def _free(self, group: tuple[Keys, ...]) -> float:
-        """Upper bound of the fall: with all parameters free."""
-        used = np.concatenate([self._places[n] for n in group])
-        beyond = self._r[self._own :]
-        left = beyond[:, -1]
-        return self._alone - float(left @ left) + explained(left, beyond[:, used])
+    def _free(self, groups: Sequence[tuple[Keys, ...]]) -> Floats:
+        """Upper bounds of the falls: with all parameters free."""
+        places = [np.concatenate([self._places[n] for n in group]) for group in groups]
+        sizes = np.array([p.size for p in places])
+        found = np.zeros(len(groups))
+        for size in np.unique(sizes):
+            own = np.flatnonzero(sizes == size)
+            used = np.array([places[k] for k in own])
+            square = self._beyond[used[:, :, None], used[:, None, :]]
+            along = self._beyond[used, -1]
+            inverse = np.linalg.pinv(square, rcond=FLATTEST, hermitian=True)
+            found[own] = np.einsum("gi,gij,gj->g", along, inverse, along)
+        rest = max(self._beyond[-1, -1], 0.0)
+        return self._alone - self._whole * (rest - found)
 
 
 def explained(target: Floats, columns: Floats) -> float:

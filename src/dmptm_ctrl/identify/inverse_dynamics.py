@@ -291,7 +291,8 @@ def residual(
             equations.append(difference * balance.heft / reach[group])
         elif k > 0:
             equations.append(alone[group])
-    return np.array([motion.reduce(e) for e in equations]), motion.reduce(fair * push)
+    rows = motion.reduce(np.array([*equations, fair * push]))
+    return rows[:-1], rows[-1]
 
 
 def pushed(model: RigModel, signals: Mapping[str, Floats], groups: Container[int]) -> Floats:

@@ -79,8 +79,9 @@ class RigEvidence:
 
     def refit(self, state: RigState, logs: Balance, held: Balance) -> RigState:
         """Fit a model that was fitted to other logs, or to other rows of them."""
-        like = state.fit.likelihood
-        fit = fit_rig(state.fit.state, logs, iterations=SETTLE, like=like, jobs=self.jobs)
+        start, like = state.fit.state, state.fit.likelihood
+        near = self._alike(start, state.fit) if logs is state.logs else None
+        fit = fit_rig(start, logs, iterations=SETTLE, like=like, near=near, jobs=self.jobs)
         return RigState(fit, held, state.keys)
 
     def inside(self, state: RigState) -> RigState:
@@ -326,7 +327,7 @@ class RigEvidence:
             like = replace(state.fit.likelihood, noise=None)
             state = replace(state, fit=replace(state.fit, likelihood=like))
         if logs is not state.logs:
-            state = self.refit(state, logs, held)
+            state = replace(self.refit(state, logs, held), seen=state.seen)
         return self._counted(state)
 
     def _counted(self, state: RigState) -> RigState:

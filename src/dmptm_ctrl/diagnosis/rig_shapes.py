@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent
+from dmptm_ctrl.identify.by_torque import by_torque
 from dmptm_ctrl.identify.forces import measured_motion, unfolded
 from dmptm_ctrl.identify.free_parameters import on_slide, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import FEWEST_ROWS, Motion
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
-from dmptm_ctrl.identify.teeth import carried, in_twist, put_through
 from dmptm_ctrl.simulate.along import acting_of, friction_along, torque_along
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
@@ -93,12 +93,13 @@ def _body_columns(
 ) -> list[Floats]:
     """Change of the residual by torques on a body, (p, n) of its angle and speed per log."""
     model = fit.model
-    by = untwisted(model.plant())[model.layout.coordinate[body]] * model.layout.ratio[body]
+    group, ratio = model.layout.coordinate[body], model.layout.ratio[body]
+    stiffness = {name: model.value(f"link.{name}.stiffness") for name in balance.teeth}
     parts = []
     for motion in balance.motions:
-        theta, omega = motion_of(balance, motion, model, body)
-        column = motion.reduce(by * torques(motion, theta, omega)).T
-        parts.append(_in_equations(fit, balance, body, column))
+        torque = ratio * torques(motion, *motion_of(balance, motion, model, body))
+        column = by_torque(model, balance, motion, group, torque, stiffness)
+        parts.append(np.moveaxis(column, 1, 2))
     return parts
 
 
@@ -122,27 +123,6 @@ def _mesh_columns(
 
 def _sized(shape: Placed, name: str, amplitude: float) -> Placed:
     return shape._replace(values={**shape.values, name: amplitude})
-
-
-def _in_equations(fit: RigFit, balance: Balance, body: str, column: Floats) -> Floats:
-    """A torque on a body appears in the first equation, and in that of its own coordinate."""
-    model = fit.model
-    layout, plant = model.layout, model.plant()
-    reach, group = untwisted(plant), layout.coordinate[body]
-    left = {g: np.zeros_like(column) for g in range(layout.coordinates)}
-    left[group] = column / reach[group]
-    through = carried(model, balance.teeth, left)
-    left = put_through(model, left, through)
-    out = np.zeros((fit.left[0].shape[0], *column.shape))
-    out[0] = column
-    for name, k in balance.teeth.items():
-        stiffness = model.value(f"link.{name}.stiffness")
-        out[k] = in_twist(model, balance, name, 0.0, 0.0, through[name], stiffness)
-    seen = balance.seen(layout)
-    for k, g in enumerate(seen):
-        if k > 0 and g not in seen[:k] and k not in balance.teeth.values():
-            out[k] = left[g] * balance.heft / (reach[g] * plant.inertia[g])
-    return out
 
 
 def rows_of(tangent: Tangent, log: int, body: str) -> tuple[Floats, Floats, Floats]:

@@ -65,6 +65,10 @@ class Forces:
         Torque of toothed links by the balance of one side, see :mod:`.teeth`.
     twists : dict of link to arrays
         Their measured twists.
+    moved : dict of coordinate to (n,) array
+        What drives and other links give beyond what takes the motion; friction takes it.
+    load, volts : dict of body to (n,) array
+        What presses on its bearings, and the signal of its motor.
     """
 
     measured: Moves
@@ -73,6 +77,9 @@ class Forces:
     left: dict[int, Floats]
     carried: dict[str, Floats]
     twists: dict[str, tuple[Floats, Floats, Floats, Floats]]
+    moved: dict[int, Floats]
+    load: Mapping[str, Floats]
+    volts: Mapping[str, Floats]
 
 
 def forces_of(
@@ -126,19 +133,47 @@ def forces_of(
     by_side = bool(layout.links) and len(measured) == layout.coordinates
     for _ in range(LOADED if (twists or by_side) and weighs else 1):
         left = {}
-        for group, (q, v, _) in measured.items():
-            friction, other = _friction(model, motion, group, q, v, load, volts, nuisance)
-            rest = moved[group] - other
-            if not twists:  # what holds a body beside teeth, noise of their twist hides
-                friction = _at_rest(friction, rest, v, motion.rest_share)
-            left[group] = rest - friction
-            bare[group] = free[group] - other - friction
+        for group, move in measured.items():
+            left[group] = rubbed(
+                model,
+                motion,
+                group,
+                move,
+                moved[group],
+                load,
+                volts,
+                nuisance,
+                toothed=bool(twists),
+            )
+            bare[group] = free[group] + left[group] - moved[group]
         through = carried(model, twists, left)
         if weighs:
             shown = carried(model, layout.links, bare) if by_side else through
             load = on_bodies(sizes | {n: _size(motion, torque) for n, torque in shown.items()})
     need = {group: own[group] - left[group] for group in own}
-    return Forces(measured, own, need, put_through(model, left, through), through, twists)
+    whole = put_through(model, left, through)
+    return Forces(measured, own, need, whole, through, twists, moved, load, volts)
+
+
+def rubbed(
+    model: RigModel,
+    motion: Motion,
+    group: int,
+    move: tuple[Floats, Floats, Floats],
+    moved: Floats,
+    load: Mapping[str, Floats],
+    volts: Mapping[str, Floats],
+    nuisance: Nuisance,
+    *,
+    toothed: bool,
+) -> Floats:
+    """What is left at a coordinate after friction and load torques on its bodies, (n,)."""
+    q, v, _ = move
+    friction, other = _friction(model, motion, group, q, v, load, volts, nuisance)
+    rest = moved - other
+    if not toothed:  # what holds a body beside teeth, noise of their twist hides
+        friction = _at_rest(friction, rest, v, motion.rest_share)
+    return np.asarray(rest - friction)
 
 
 def _size(motion: Motion, torque: Floats) -> Floats:

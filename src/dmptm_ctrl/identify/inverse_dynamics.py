@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.following import followed
-from dmptm_ctrl.identify.forces import forces_of
+from dmptm_ctrl.identify.forces import Forces, forces_of
 from dmptm_ctrl.identify.measured_motion import (
     NONE,
     Motion,
@@ -267,16 +267,14 @@ def residual(
     layout, plant = model.layout, model.plant()
     forces = forces_of(model, balance, motion, nuisance)
     measured, reach = forces.measured, untwisted(plant)
-    total, push = np.zeros_like(motion.time), np.zeros_like(motion.time)
+    total, push = np.zeros_like(motion.time), pushing(model, forces)
     alone = {}
-    for group, own in forces.own.items():
-        need = forces.need[group]
+    for group, need in forces.need.items():
         total += reach[group] * need
-        push += reach[group] * own
         # as acceleration: as a torque, no inertia and no spring would leave nothing
         left = forces.left[group]
         alone[group] = left * balance.heft / (reach[group] * plant.inertia[group])
-    fair = 1.0 / passed(push, pushed(model, motion.u, measured))
+    fair = 1.0 / let_through(model, motion, forces)
     equations = [fair * (push - total)]
     seen, teeth = balance.seen(layout), balance.link_of
     for k, point in enumerate(balance.points):
@@ -293,6 +291,17 @@ def residual(
             equations.append(alone[group])
     rows = motion.reduce(np.array([*equations, fair * push]))
     return rows[:-1], rows[-1]
+
+
+def pushing(model: RigModel, forces: Forces) -> Floats:
+    """Torque at the driven coordinate by drives as they act, (n,)."""
+    reach = untwisted(model.plant())
+    return np.asarray(sum(reach[group] * own for group, own in forces.own.items()))
+
+
+def let_through(model: RigModel, motion: Motion, forces: Forces) -> float:
+    """Share of the logged torque that drives let through."""
+    return passed(pushing(model, forces), pushed(model, motion.u, forces.measured))
 
 
 def pushed(model: RigModel, signals: Mapping[str, Floats], groups: Container[int]) -> Floats:

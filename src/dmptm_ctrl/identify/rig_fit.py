@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import eigh
 
+from dmptm_ctrl.identify.by_torque import Rubbing, friction_alone, torques_decide
 from dmptm_ctrl.identify.fit import least_in_box, secant
 from dmptm_ctrl.identify.free_parameters import ALL, Free, free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance, residual
@@ -171,6 +172,10 @@ def jacobian(
     """
     columns = [np.zeros((*part.shape, len(frees))) for part in left]
     rough = not fine and invisible_impacts(state.model, balance)
+    rubbing = list[Rubbing]()
+    if torques_decide(state.model, balance):
+        for m in balance.motions:
+            rubbing.append(Rubbing.of(state.model, balance, m, state.nuisance(m.name)))
 
     def column(j: int) -> None:
         free = frees[j]
@@ -179,7 +184,13 @@ def jacobian(
         if here + step > free.high:
             step = -step
         there = state.moved([free], [here + step])
+        torques = free.kind in ("value", "effect") and rubbing
+        groups = friction_alone(state.model, there.model) if torques else None
         for k, motion in enumerate(balance.motions):
+            if groups is not None:
+                change = rubbing[k].changed(there.model, there.nuisance(motion.name), groups)
+                columns[k][:, :, j] = balance.counted[k] * change / (step / free.scale)
+                continue
             if free.kind in ("zero", "twist") and free.owner not in (ALL, motion.name):
                 continue
             try:

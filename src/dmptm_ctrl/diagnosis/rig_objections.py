@@ -58,7 +58,7 @@ def objection(key: str, fit: RigFit, before: RigFit) -> str:
         or _pushes(effect, fit)
         or _by_the_drive(effect, fit)
         or _unseen(effect, fit, before)
-        or _collapsed(fit, before)
+        or collapsed(fit, before)
         or other_form(effect, before)
     )
 
@@ -200,7 +200,7 @@ def driven_share(changes: Sequence[Floats], drive: Sequence[Floats]) -> float:
     return driven / total if total > 0 else 1.0
 
 
-def _collapsed(fit: RigFit, before: RigFit) -> str:
+def collapsed(fit: RigFit, before: RigFit) -> str:
     """A declared inertia or stiffness that is gone."""
     for free in fit.frees:
         if free.kind != "value" or free.name not in ("inertia", "stiffness"):

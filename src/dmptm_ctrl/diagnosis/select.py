@@ -11,7 +11,6 @@ from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from dmptm_ctrl.diagnosis.candidate import (
     LEVEL,
@@ -24,6 +23,7 @@ from dmptm_ctrl.diagnosis.candidate import (
     needed,
     overlap,
 )
+from dmptm_ctrl.identify.fit import least_in_box
 from dmptm_ctrl.simulate.model import Floats
 
 # Evidence per unit of log-odds between rivals: 2 where the likelihood is right; laws that are
@@ -232,14 +232,11 @@ class JointGain:
         size = np.sqrt(np.einsum("ij,ij->j", table, table))
         size[size == 0.0] = 1.0
         gram = (table.T @ table) / np.outer(size, size)
-        values, vectors = np.linalg.eigh(gram)
-        self._r = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T  # all that rows say
-        self._whole = size[-1] ** 2
+        self._gram, self._whole = gram, size[-1] ** 2
         self._own = own = rows.derivatives.shape[1]
         ends = own + np.cumsum([0, *(rows.columns[n].shape[1] for n in names)])
         self._places = {n: np.arange(ends[i], ends[i + 1]) for i, n in enumerate(names)}
-        self._low, high = (x * size[:own] / size[-1] for x in (rows.low, rows.high))
-        self._high = np.maximum(high, self._low + np.finfo(float).eps)
+        self._low, self._high = (x * size[:own] / size[-1] for x in (rows.low, rows.high))
         inner = np.linalg.pinv(gram[:own, :own], rcond=FLATTEST, hermitian=True)
         self._beyond = gram - gram[:, :own] @ inner @ gram[:own]  # what parameters cannot do
         self._known: dict[tuple[Keys, ...], float] = {}
@@ -268,10 +265,10 @@ class JointGain:
     def _left(self, group: tuple[Keys, ...]) -> float:
         used = np.concatenate([np.arange(self._own), *(self._places[n] for n in group)])
         free = np.full(used.size - self._own, np.inf)
-        bounds = np.concatenate([self._low, -free]), np.concatenate([self._high, free])
-        r = self._r
-        left = lsq_linear(r[:, used], -r[:, -1], bounds, method="bvls").cost
-        return 2.0 * self._whole * float(left)
+        low, high = np.concatenate([self._low, -free]), np.concatenate([self._high, free])
+        square, slope = self._gram[np.ix_(used, used)], -self._gram[used, -1]
+        x = least_in_box(square, slope, low, high)
+        return self._whole * float(self._gram[-1, -1] + x @ square @ x - 2.0 * slope @ x)
 
     def _free(self, groups: Sequence[tuple[Keys, ...]]) -> Floats:
         """Upper bounds of the falls: with all parameters free."""

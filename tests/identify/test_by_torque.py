@@ -8,7 +8,6 @@ from tests.rig_files.truth import Bench, Machine
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify import rig_fit
 from dmptm_ctrl.identify.by_torque import friction_alone, torques_decide
-from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ
 from dmptm_ctrl.identify.free_parameters import free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.pushing_teeth import in_contact
@@ -88,9 +87,3 @@ def test_what_is_more_than_friction_is_not_taken_for_it():
     assert friction_alone(model, model) == set()
     loaded = model.with_effect(Placed("load_dependent_friction", "motor", {"coefficient": 0.1}))
     assert not torques_decide(loaded, balance)
-
-
-def test_impact_chatter_is_above_the_band_of_a_drive_with_gaps():
-    _, balance = paper()
-    assert balance.bandwidth <= BANDWIDTH_HZ
-    assert min(p.sight.bandwidth for p in balance.points) > BANDWIDTH_HZ

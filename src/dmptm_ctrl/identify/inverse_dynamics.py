@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.drive.rig import Rig, Sensor, is_known
-from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ
+from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.following import followed
 from dmptm_ctrl.identify.forces import Forces, forces_of
 from dmptm_ctrl.identify.measured_motion import (
@@ -239,14 +238,11 @@ def balance_of(
 ) -> Balance:
     """Filter logs into motions, at the bandwidth that the poorest point allows, and `most` [Hz].
 
-    And up to which hidden bodies follow the measured ones; with declared gaps, no further than
-    impact chatter is left out. A given `bandwidth` is taken as it is.
+    And up to which hidden bodies follow the measured ones. A given `bandwidth` is taken as it is.
     """
     points = points_of(rig, logs)
     closed, follows = followed(rig, (p.name for p in points))
-    gaps = any(is_known(k.half_gap) and k.half_gap.value > 0 for k in rig.links)
     if bandwidth is None:
-        most = min(most, BANDWIDTH_HZ) if gaps else most
         bandwidth = min(follows, most, *(p.sight.bandwidth for p in points))
     sights = {p.name: p.sight for p in points}
     motions = tuple(prepare(log, rig, sights, bandwidth) for log in logs)

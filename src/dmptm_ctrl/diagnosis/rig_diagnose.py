@@ -23,7 +23,7 @@ from dmptm_ctrl.diagnosis.rig_curves import (
     predicted,
 )
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
-from dmptm_ctrl.diagnosis.rig_objections import collapsed
+from dmptm_ctrl.diagnosis.rig_objections import gone
 from dmptm_ctrl.diagnosis.rig_report import declared_of, report_of
 from dmptm_ctrl.diagnosis.rig_runs import Runs
 from dmptm_ctrl.diagnosis.rig_screen import (
@@ -160,8 +160,9 @@ def _selected(evidence: RigEvidence, base: RigState, say: Callable[[str], None])
     inside = sum(evidence.gains(base, loose)) <= max(best, LEVEL)
     if inside and beyond_need(evidence, kept.final, start) <= 0.0:
         return kept
-    if collapsed(loose.fit, base.fit) or collapsed(start.fit, base.fit):
+    if gone(loose.fit):
         return kept  # without a range, what has no name would do away with a part of the drive
+    start = loose if gone(start.fit) else start
     say("declared values would leave their ranges: looking again with them free")
     free = select_effects(evidence, loose, say, begun=(kept, start))
     last = kept.final

@@ -31,6 +31,7 @@ TURN = 72  # angles at which friction over a turn is looked at
 FINER = 8  # points per line of that spectrum, between which a parabola finds its top
 LINE = 0.3  # share of the input's power in one line, from which it is a wave
 DRIVEN = 0.5  # of what a spring changes must be coherent with the drive
+LEAST_LEFT = 0.1  # of the least that is declared of a part; less is nothing
 SEGMENTS = 8  # of a log, for a coherence
 SHORTEST_SEGMENT = 16  # rows
 
@@ -58,7 +59,7 @@ def objection(key: str, fit: RigFit, before: RigFit) -> str:
         or _pushes(effect, fit)
         or _by_the_drive(effect, fit)
         or _unseen(effect, fit, before)
-        or collapsed(fit, before)
+        or _collapsed(fit, before)
         or other_form(effect, before)
     )
 
@@ -200,7 +201,15 @@ def driven_share(changes: Sequence[Floats], drive: Sequence[Floats]) -> float:
     return driven / total if total > 0 else 1.0
 
 
-def collapsed(fit: RigFit, before: RigFit) -> str:
+def gone(fit: RigFit) -> bool:
+    """Whether next to nothing is left of an inertia or stiffness that is declared."""
+    known = (f for f in fit.frees if f.kind == "value" and f.prior is not None)
+    parts = (f for f in known if f.name in ("inertia", "stiffness"))
+    least = ((f, LEAST_LEFT * fit.model.quantities[f.owner].range[0]) for f in parts)
+    return any(fit.state.get(f) < value for f, value in least)
+
+
+def _collapsed(fit: RigFit, before: RigFit) -> str:
     """A declared inertia or stiffness that is gone."""
     for free in fit.frees:
         if free.kind != "value" or free.name not in ("inertia", "stiffness"):
@@ -209,6 +218,6 @@ def collapsed(fit: RigFit, before: RigFit) -> str:
         value, old = fit.state.get(free), before.model.value(free.owner)
         known = isfinite(low) and isfinite(high) and free.prior is not None
         least = low - (high - low) if known else 0.0
-        if value < max(least, 0.1 * low if known else 0.02 * old) and value < old:
+        if value < max(least, LEAST_LEFT * low if known else 0.02 * old) and value < old:
             return f"{free.owner} would collapse to {value:.3g}"
     return ""

@@ -129,7 +129,7 @@ def select_effects(
     if begun is not None:
         earlier, state = begun
         selection.first, selection.known = earlier.first, dict(earlier.known)
-        state = pruned(evidence, state, step)
+        state = pruned(evidence, state, step, sure=0.0)  # it was fitted with other values
     seen: set[frozenset[str]] = {frozenset(state.keys)}
     while len(state.keys) < MOST and len(vain) < SET_TRIALS:
         candidates = ranked(evidence.candidates(state))
@@ -295,11 +295,17 @@ def explained(target: Floats, columns: Floats) -> float:
     return float(np.sum((q[:, clear].T @ target) ** 2))
 
 
-def pruned(evidence: Evidence, state: State, step: Callable[[str], None]) -> State:
-    """Delete effects that the others have made superfluous, weakest first."""
+def pruned(
+    evidence: Evidence, state: State, step: Callable[[str], None], sure: float = DOUBTFUL * LEVEL
+) -> State:
+    """Delete effects that the others have made superfluous, weakest first.
+
+    One that is worth more by its standard errors than what is `sure` is not taken out to be
+    tested; 0 is to test all.
+    """
     while state.keys:
         wald = {key: evidence.wald(state, key) for key in state.keys}
-        doubtful = [key for key in state.keys if wald[key] < DOUBTFUL * LEVEL]
+        doubtful = [key for key in state.keys if not sure or wald[key] < sure]
         left_out = {key: evidence.without(state, key) for key in doubtful}
         spare = {key: beyond_need(evidence, one, state) for key, one in left_out.items()}
         weakest = min(spare, key=lambda key: spare[key], default=None)
@@ -337,15 +343,12 @@ def compared(
         entries = []
         for key in state.keys:
             without = evidence.without(state, key)
-            gains, rivals = evidence.gains(without, state), list[Candidate]()
-            if beyond_need(evidence, without, state) <= 0.0:
-                better = without  # the rest explains as much, from where no small step leads
-            else:
-                able = rivals_of(evidence, selection, state, without, key)
-                rivals = ranked([in_place(evidence, without, state, gains, c) for c in able])
-                better = other_way(evidence, selection, state, without, key, gains, rivals)
-                if better is None and evidence.objection(without, state, key):
-                    better = given_way(evidence, without, rivals)
+            gains = evidence.gains(without, state)
+            able = rivals_of(evidence, selection, state, without, key)
+            rivals = ranked([in_place(evidence, without, state, gains, c) for c in able])
+            better = other_way(evidence, selection, state, without, key, gains, rivals)
+            if better is None and evidence.objection(without, state, key):
+                better = given_way(evidence, without, rivals)
             if better is not None and len(seen) <= MOST:
                 said: list[str] = []
                 changed = pruned(evidence, better, said.append)

@@ -5,13 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.diagnosis.test_rig_evidence import SMALL, logs_of
+from tests.diagnosis.test_rig_evidence import SMALL, logs_of, prepared
 from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.diagnosis.candidate import differ
 from dmptm_ctrl.diagnosis.measure import of_each_kind
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig, split
-from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.diagnosis.rig_objections import _covariance, amplitudes_of, objection
 from dmptm_ctrl.diagnosis.rig_state import RigState, rise
 from dmptm_ctrl.drive.rigfile import parse_rig
@@ -113,21 +112,14 @@ def test_rise_is_over_what_is_left_beyond_noise(plain):
 
 def test_an_amplitude_is_tested_beside_its_shape():
     """A drift slower than the logs: its size and its time constant trade, yet it drifts."""
-    bench = Bench(Machine(fc=0.03), **SMALL)
-    rig = parse_rig(bench.rig(), "rig.toml")
-    logs, held, _, _ = split(rig, balance_of(rig, logs_of(bench, rig)))
-    evidence = RigEvidence(logs, held, 1)
-    base = evidence.base(State(rough_start(RigModel(rig), logs)))
+    evidence, base = prepared(Bench(Machine(fc=0.03), **SMALL))
     (drift,) = evidence.candidates(base, ["thermal_drift@motor"])
     _, fit = drift.fitted
-    (own,) = [amplitudes_of(fit, "thermal_drift@motor")]
+    own = amplitudes_of(fit, "thermal_drift@motor")
     amplitudes = np.full(len(own), 2.5)
     # with this covariance, size and time constant trade fully, and the size alone is unknown
-    count, slow = (
-        len(fit.frees),
-        [f.label for f in fit.frees].index("thermal_drift@motor.time_constant"),
-    )
-    covariance = 1e-4 * np.eye(count)
+    slow = [f.label for f in fit.frees].index("thermal_drift@motor.time_constant")
+    covariance = 1e-4 * np.eye(len(fit.frees))
     for j in own:
         covariance[j, j] = covariance[slow, slow] = 1.0
         covariance[j, slow] = covariance[slow, j] = 0.7
@@ -141,14 +133,10 @@ def test_an_amplitude_is_tested_beside_its_shape():
 
 
 def test_an_absent_drift_is_still_refused():
-    bench = Bench(Machine(fc=0.0), **SMALL)
-    rig = parse_rig(bench.rig(), "rig.toml")
-    logs, held, _, _ = split(rig, balance_of(rig, logs_of(bench, rig)))
-    evidence = RigEvidence(logs, held, 1)
-    base = evidence.base(State(rough_start(RigModel(rig), logs)))
+    evidence, base = prepared(Bench(Machine(fc=0.0), **SMALL))
     there = State(base.fit.model.with_effect(Placed("thermal_drift", "motor", {
         "rise": 0.0, "time_constant": 20.0})), base.fit.state.logs)  # fmt: skip
-    fit = fit_rig(there, logs, like=base.fit.likelihood, jobs=1)
+    fit = fit_rig(there, evidence.logs, like=base.fit.likelihood, jobs=1)
     assert objection("thermal_drift@motor", fit, base.fit)
 
 

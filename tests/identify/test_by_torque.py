@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.diagnosis.test_rig_evidence import logs_of
 from tests.identify.test_teeth import MOTORS, PAPER, log_of
 from tests.rig_files.truth import Bench, Machine
 
@@ -13,7 +14,6 @@ from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.pushing_teeth import in_contact
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.identify.state import State
-from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 
@@ -30,14 +30,7 @@ def axis(effects=()):
     bench = Bench(Machine(fc=0.03), (("steps", 6.0), ("sine", 5.0)), 3.0, 2e-3)
     text = bench.rig().replace("viscous =", 'coulomb = "0.03 N m ± 50 %"\nviscous =')
     rig = parse_rig(text, "rig.toml")
-    channels = {i.column: i.channel for i in rig.inputs} | {
-        s.column: s.channel for s in rig.sensors
-    }
-    logs = [
-        Log(n, table["t"], {channels[k]: v for k, v in table.items() if k != "t"})
-        for n, table in bench.logs().items()
-    ]
-    balance = balance_of(rig, logs)
+    balance = balance_of(rig, logs_of(bench, rig))
     model = rough_start(RigModel(rig), balance)
     for effect in effects:
         model = model.with_effect(effect)

@@ -190,9 +190,9 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int, bandwidth: float | 
     flat = np.concatenate([part.ravel() for part in left])[use]
     columns = np.concatenate([part.reshape(-1, len(frees)) for part in derivatives])
     columns = np.hstack([columns, at_rows(waves, left)])[use]
-    named = [balance.logs.index(m.name) for m in balance.motions]
+    logged = zip(sizes, balance.log_of, strict=True)
     group = np.concatenate(  # equation and log
-        [np.repeat(np.arange(count) + count * log, n) for n, log in zip(sizes, named, strict=True)]
+        [np.repeat(np.arange(count) + count * log, n) for n, log in logged]
     )[use]
     groups = count * len(balance.logs)
 

@@ -42,7 +42,11 @@ def amplitudes_of(fit: RigFit, key: str) -> list[int]:
     A constant beside another amplitude does not make an effect: it would be an offset.
     """
     entry = PLACED_CATALOGUE[name_of(key)]
-    names = [n for n in entry.amplitudes if n not in entry.effect.constants]
+    return _numbers_of(fit, key, [n for n in entry.amplitudes if n not in entry.effect.constants])
+
+
+def _numbers_of(fit: RigFit, key: str, names: Sequence[str]) -> list[int]:
+    """Places of parameters of an effect among the fitted numbers."""
     return [
         j for j, f in enumerate(fit.frees)
         if f.kind == "effect" and f.owner in members(key) and f.name in names
@@ -81,11 +85,7 @@ def _covariance(fit: RigFit, key: str, own: Sequence[int]) -> Floats:
 
     Whatever is known of the time constant of a slow drift, and so of its final size, it drifts.
     """
-    names = PLACED_CATALOGUE[name_of(key)].shapes
-    shapes = [
-        j for j, f in enumerate(fit.frees)
-        if f.kind == "effect" and f.owner in members(key) and f.name in names
-    ]  # fmt: skip
+    shapes = _numbers_of(fit, key, PLACED_CATALOGUE[name_of(key)].shapes)
     both = fit.covariance[np.ix_([*own, *shapes], [*own, *shapes])]
     k = len(own)
     if not shapes:

@@ -207,15 +207,15 @@ def orders(tangent: Tangent, body: str, pushed: Sequence[Floats] | None = None) 
     if pushed is not None:
         weights = tangent.fit.likelihood.scales(tangent.fit.left) ** -2.0
         weights[0] *= len(weights) == 1
-        of_log = dict(zip(balance.logs, weights.T, strict=True))
-        rows = zip(logs, tangent.fit.left, pushed, balance.motions, strict=True)
+        each = weights.T[list(balance.log_of)]
+        rows = zip(logs, tangent.fit.left, pushed, balance.motions, each, strict=True)
         logs = [
             (
                 angle,
                 speed,
-                np.einsum("er,er,e->r", own, push[..., 0], of_log[motion.name])[motion.moving],
+                np.einsum("er,er,e->r", own, push[..., 0], by)[motion.moving],
             )
-            for (angle, speed, _), own, push, motion in rows
+            for (angle, speed, _), own, push, motion, by in rows
         ]
     span = max((float(np.ptp(a)) for a, _, _ in logs if a.size), default=0.0)
     if span <= 0:

@@ -12,7 +12,7 @@ import numpy as np
 
 from dmptm_ctrl.identify.following import loaded
 from dmptm_ctrl.identify.forces import Forces, forces_of, rubbed
-from dmptm_ctrl.identify.inverse_dynamics import let_through
+from dmptm_ctrl.identify.inverse_dynamics import passed, pushed, pushing
 from dmptm_ctrl.identify.measured_motion import Motion, Nuisance
 from dmptm_ctrl.identify.teeth import carried, in_twist, put_through
 from dmptm_ctrl.simulate.model import Floats
@@ -86,7 +86,8 @@ class Rubbing:
         """Evaluate all torques once."""
         forces = forces_of(model, balance, motion, nuisance)
         left = {g: own - forces.need[g] for g, own in forces.own.items()}
-        return cls(model, balance, motion, forces, left, let_through(model, motion, forces))
+        share = passed(pushing(model, forces), pushed(model, motion.u, forces.measured))
+        return cls(model, balance, motion, forces, left, share)
 
     def changed(self, there: RigModel, nuisance: Nuisance, groups: set[int]) -> Floats:
         """Change of the residual by another model's friction on coordinates, (equations, rows)."""

@@ -121,6 +121,11 @@ class Balance:
         return tuple(dict.fromkeys(m.name for m in self.motions))
 
     @cached_property
+    def log_of(self) -> tuple[int, ...]:
+        """Log of each motion, by its place in `logs`."""
+        return tuple(self.logs.index(m.name) for m in self.motions)
+
+    @cached_property
     def longest(self) -> float:
         """Time at which the longest log ends [s]."""
         return max(float(m.time[-1]) for m in self.motions)
@@ -274,7 +279,7 @@ def residual(
         # as acceleration: as a torque, no inertia and no spring would leave nothing
         left = forces.left[group]
         alone[group] = left * balance.heft / (reach[group] * plant.inertia[group])
-    fair = 1.0 / let_through(model, motion, forces)
+    fair = 1.0 / passed(push, pushed(model, motion.u, measured))
     equations = [fair * (push - total)]
     seen, teeth = balance.seen(layout), balance.link_of
     for k, point in enumerate(balance.points):
@@ -297,11 +302,6 @@ def pushing(model: RigModel, forces: Forces) -> Floats:
     """Torque at the driven coordinate by drives as they act, (n,)."""
     reach = untwisted(model.plant())
     return np.asarray(sum(reach[group] * own for group, own in forces.own.items()))
-
-
-def let_through(model: RigModel, motion: Motion, forces: Forces) -> float:
-    """Share of the logged torque that drives let through."""
-    return passed(pushing(model, forces), pushed(model, motion.u, forces.measured))
 
 
 def pushed(model: RigModel, signals: Mapping[str, Floats], groups: Container[int]) -> Floats:

@@ -72,15 +72,9 @@ class Likelihood:
     def rows(self) -> Ints:
         """Number of rows that count, (equations, logs)."""
         found = np.zeros((len(self.balance.points), len(self.balance.logs)), np.int64)
-        for use, log in zip(self.balance.counted, self._log_of, strict=True):
+        for use, log in zip(self.balance.counted, self.balance.log_of, strict=True):
             found[:, log] += use.sum(axis=1)
         return found
-
-    @cached_property
-    def _log_of(self) -> list[int]:
-        """Log of each motion: pieces of a long one are one log."""
-        names = self.balance.logs
-        return [names.index(m.name) for m in self.balance.motions]
 
     @cached_property
     def price(self) -> float:
@@ -111,11 +105,6 @@ class Likelihood:
                 start += rows.size
         return out
 
-    def by_log(self, left: Sequence[Floats]) -> list[list[Floats]]:
-        """Rows that count, per equation and log."""
-        ends = np.cumsum(self.rows, axis=1)[:, :-1]
-        return [np.split(own, end) for own, end in zip(self.parts(left), ends, strict=True)]
-
     def along(self, values: Floats, equation: int) -> Floats:
         """Values of the logs at each row of an equation that counts."""
         return np.repeat(values, self.rows[equation])
@@ -130,16 +119,21 @@ class Likelihood:
 
         Where no row counts it is 1.
         """
+        return self._scales_of(self.parts(left))
+
+    def _scales_of(self, parts: Sequence[Floats]) -> Floats:
+        ends = np.cumsum(self.rows, axis=1)[:, :-1]
         sizes = [
-            [size_of(one, heavy) if one.size else 1.0 for one in logs]
-            for logs, heavy in zip(self.by_log(left), self.balance.bursts, strict=True)
+            [size_of(one, heavy) if one.size else 1.0 for one in np.split(own, end)]
+            for own, end, heavy in zip(parts, ends, self.balance.bursts, strict=True)
         ]
         return np.hypot(sizes, self.floor)
 
     def weights(self, left: Sequence[Floats]) -> Floats:
         """Square roots of what each row counts, in the order of `stack`."""
-        scales = self.scales(left)
-        rows = zip(self.independent, self.parts(left), self.balance.bursts, strict=True)
+        parts = self.parts(left)
+        scales = self._scales_of(parts)
+        rows = zip(self.independent, parts, self.balance.bursts, strict=True)
         return np.concatenate(
             [
                 weights_of(part, share, self.along(scales[e], e), heavy)
@@ -149,7 +143,8 @@ class Likelihood:
 
     def surprise(self, left: Sequence[Floats], model: RigModel) -> float:
         """−2 log-likelihood, each equation at its own scale in each log, all models alike noisy."""
-        squares = self.scales(left) ** 2
+        parts = self.parts(left)
+        squares = self._scales_of(parts) ** 2
         if self.noise is not None:
             # More noise than there is left makes no model better. What a model adds to the noise is
             # separated from what else it leaves no better than so many rows determine a variance.
@@ -159,9 +154,7 @@ class Likelihood:
             squares = np.maximum(squares - own, least) + noise
         # the mean square over the scale's is left in: near the floor it still falls
         spread = self.counts * (1.0 - self.floor**2 / squares)
-        heavy = np.flatnonzero(self.balance.bursts).tolist()
-        parts = self.parts(left) if heavy else []
-        for e in heavy:
+        for e in np.flatnonzero(self.balance.bursts).tolist():
             whole = np.sum(tails(parts[e] ** 2 / self.along(squares[e], e)))
             spread[e] = self.independent[e] * whole / spread.shape[1]
         return float(np.sum(self.counts * np.log(squares) + spread))
@@ -173,8 +166,8 @@ class Likelihood:
 
     def row_surprises(self, left: Sequence[Floats]) -> list[Floats]:
         """The same of each row as if it were independent, per equation."""
-        scales = self.scales(left)
-        rows = zip(self.parts(left), self.balance.bursts, strict=True)
+        parts = self.parts(left)
+        scales, rows = self._scales_of(parts), zip(parts, self.balance.bursts, strict=True)
         along = ((part, self.along(scales[e], e), heavy) for e, (part, heavy) in enumerate(rows))
         squares = [((part / s) ** 2, s, heavy) for part, s, heavy in along]
         return [2.0 * np.log(s) + (tails(x) if heavy else x) for x, s, heavy in squares]

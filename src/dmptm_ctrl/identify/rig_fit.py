@@ -173,7 +173,8 @@ def jacobian(
     columns = [np.zeros((*part.shape, len(frees))) for part in left]
     rough = not fine and invisible_impacts(state.model, balance)
     rubbing = list[Rubbing]()
-    if torques_decide(state.model, balance):
+    others = any(free.kind in ("value", "effect") for free in frees)
+    if others and torques_decide(state.model, balance):
         for m in balance.motions:
             rubbing.append(Rubbing.of(state.model, balance, m, state.nuisance(m.name)))
 

@@ -161,7 +161,7 @@ def _selected(evidence: RigEvidence, base: RigState, say: Callable[[str], None])
     if inside and beyond_need(evidence, kept.final, start) <= 0.0:
         return kept
     if gone(loose.fit):
-        return kept  # without a range, what has no name would do away with a part of the drive
+        return kept  # an unknown effect must not take a part of the drive away
     start = loose if gone(start.fit) else start
     say("declared values would leave their ranges: looking again with them free")
     free = select_effects(evidence, loose, say, begun=(kept, start))

@@ -91,8 +91,8 @@ class RigEvidence:
     def free(self, state: RigState) -> RigState:
         """Fit again with declared quantities free to leave their ranges.
 
-        How surely rows show them is asked where the rows alone would have them: held inside, what
-        is missing would make the ranges look sure.
+        How surely rows show a quantity is taken from a fit without ranges. In a fit inside them,
+        what is missing would make declared values look surer than they are.
         """
         doubtless = replace(state.fit.likelihood, doubt={})
         found = self._ranged(replace(state, fit=replace(state.fit, likelihood=doubtless)), False)

@@ -28,7 +28,6 @@ SURE = 10.0  # standard errors of an inertia that contradicts its declaration
 KINEMATIC = 0.99  # correlation above which one position follows another through a soft link
 INVERSE = 0.25  # of a ratio's error in logarithms, below which its inverse fits far better
 SCALED = 1.05  # factor between two sensors of one motion that a good pair does not have
-ALIKE = 1e-3  # of two factors; a slope is not known so finely
 TWIST = 10.0  # times more than a wrong ratio leaves, a soft link would have to twist
 HIDDEN = 20.0  # times less: behind a soft shaft, a load hides that much of the inertia, not more
 
@@ -132,7 +131,7 @@ def _other_ratio(one: Sensor, other: Sensor, path: _Path, slope: float) -> str:
     causes = [(abs(shown * path.ratio), turned), (abs(slope), other_way)]
     causes += [(slope / f, text) for f, text in MISTAKES.items() if slope / f > 0]
     offs = [abs(np.log(factor)) for factor, _ in causes]
-    best = next(k for k, off in enumerate(offs) if off <= min(offs) + ALIKE)
+    best = int(np.argmax(np.isclose(offs, min(offs))))  # the first of those that fit alike
     why = causes[best][1] if offs[best] < np.log(NAMED) else "a wrong ratio or unit"
     said = " and ".join(path.links)
     return (

@@ -142,7 +142,7 @@ class Likelihood:
         )
 
     def surprise(self, left: Sequence[Floats], model: RigModel) -> float:
-        """−2 log-likelihood, each equation at its own scale in each log, all models alike noisy."""
+        """−2 log-likelihood, by scales of equations and logs, with one noise for all models."""
         parts = self.parts(left)
         squares = self._scales_of(parts) ** 2
         if self.noise is not None:
